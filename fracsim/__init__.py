@@ -1,0 +1,95 @@
+"""fracsim: breakable objects for PyBullet and Gymnasium, in real time, on a CPU.
+
+Importing it registers the Gymnasium environments and loads numpy and gymnasium, nothing heavier;
+every other name is loaded when it is first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from gymnasium.envs.registration import register as _register
+
+from .errors import (
+    AssetError,
+    BakeError,
+    FieldError,
+    FracsimError,
+    ImpulseError,
+    MaterialError,
+    MeshError,
+    MissingExtraError,
+    PhysicsError,
+    RenderError,
+)
+from .impulse import Impulse
+
+if TYPE_CHECKING:
+    from .asset import BreakableAsset, Fracture, load
+    from .baking import bake
+    from .material import Material
+    from .physics.world import FractureEvent, World
+    from .pieces import Piece
+    from .segmentation import segment
+
+__version__ = "0.1.0"
+
+_LAZY = {
+    "BreakableAsset": "asset",
+    "Fracture": "asset",
+    "load": "asset",
+    "bake": "baking",
+    "Material": "material",
+    "Piece": "pieces",
+    "segment": "segmentation",
+    "World": "physics.world",
+    "FractureEvent": "physics.world",
+}
+
+__all__ = [
+    "AssetError",
+    "BakeError",
+    "BreakableAsset",
+    "FieldError",
+    "FracsimError",
+    "Fracture",
+    "FractureEvent",
+    "Impulse",
+    "ImpulseError",
+    "Material",
+    "MaterialError",
+    "MeshError",
+    "MissingExtraError",
+    "PhysicsError",
+    "Piece",
+    "RenderError",
+    "World",
+    "bake",
+    "load",
+    "segment",
+]
+
+
+_SUBMODULES = ("envs", "metrics")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _SUBMODULES:
+        return importlib.import_module(f".{name}", __name__)
+    if name in _LAZY:
+        value = getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY, *_SUBMODULES})
+
+
+_register(
+    id="FractureDrop-v0",
+    entry_point="fracsim.envs.fracture_drop:FractureDropEnv",
+    max_episode_steps=300,
+)

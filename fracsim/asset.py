@@ -1,0 +1,525 @@
+"""The baked asset: everything a running simulation needs to break one object, in one file of plain arrays."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .breaking import Interfaces, absorb_crumbs, components, drives, weakest_cut
+from .errors import AssetError, FieldError, FracsimError
+from .impulse import Impulse, as_impulses
+from .material import Material, as_material
+from .models.field import TAU, FieldModel, field_from_scores, parting_scores
+from .pieces import AtomComplex, Hull, Piece
+from .sampling import CONE, SEVERITY, SurfacePoints, cone
+from .segmentation.watershed import flooded_passes
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+FORMAT = 1
+SUFFIX = ".frac"
+PREDICTORS = ("field", "modes")
+# An interface whose score is even counts as a crack: that is where its field stands this far above a sure one's.
+PASS_HEIGHT = TAU * float(np.log(2.0))
+
+
+@dataclass(frozen=True, eq=False)
+class AssetArrays:
+    """What is in the file, lengths in units of the largest extent.
+
+    faces: (F, 3) of the surface, whose vertices are the first V points. points, triangles, sides: the atoms'
+    complex. rows: (V, A) impact field. pairs, areas, normals, projected: the interfaces.
+    distances: (I, V) geodesic distances to their curves. shores: (I, S) vertices along these, -1 where an
+    interface does not reach the surface. hull_points, hull_faces: the atoms' convex parts one after the other,
+    with hull_sizes (H, 2) points and faces in each, and hull_atoms (H,); body_...: those of the whole.
+    """
+
+    faces: IntArray
+    points: FloatArray
+    triangles: IntArray
+    sides: IntArray
+    rows: npt.NDArray[np.float32]
+    pairs: IntArray
+    areas: FloatArray
+    normals: FloatArray
+    projected: FloatArray
+    distances: npt.NDArray[np.float16]
+    shores: IntArray
+    hull_points: FloatArray
+    hull_faces: IntArray
+    hull_sizes: IntArray
+    hull_atoms: IntArray
+    body_points: FloatArray
+    body_faces: IntArray
+    body_sizes: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Fracture:
+    """What a blow does to an asset.
+
+    labels: (V,), the piece that each vertex lies on. udf: (V,) m, distance to the nearest crack, capped.
+    pieces: one for each label; a single one is the unbroken body. timings: ms by stage.
+    severity: the impulse over mass times breaking velocity; clamped: whether it lay beyond what the model was
+    trained on and was lowered to that.
+    """
+
+    labels: IntArray
+    udf: FloatArray
+    pieces: tuple[Piece, ...]
+    timings: dict[str, float]
+    predictor: str
+    severity: float
+    clamped: bool
+
+    @property
+    def broken(self) -> bool:
+        return len(self.pieces) > 1
+
+
+@dataclass(frozen=True, eq=False)
+class BreakableAsset:
+    """A breakable object: made by ``fracsim.bake``, read by ``fracsim.load``.
+
+    scale: m, its largest extent. offset: (3,) m, where the centre of its bounding box lies in its own frame.
+    cap, crumb_floor: of the largest extent, of the volume. metadata: how it was baked and how good it is.
+    """
+
+    name: str
+    material: Material
+    scale: float
+    offset: FloatArray
+    cap: float
+    crumb_floor: float
+    arrays: AssetArrays
+    model: FieldModel
+    metadata: dict[str, Any]
+
+    # The body as a whole
+
+    @property
+    def size(self) -> float:
+        """m, the largest extent."""
+        return self.scale
+
+    @cached_property
+    def vertices(self) -> FloatArray:
+        """(V, 3) m."""
+        return self.arrays.points[: self.vertex_count] * self.scale + self.offset
+
+    @property
+    def faces(self) -> IntArray:
+        """(F, 3)."""
+        return self.arrays.faces
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.arrays.rows)
+
+    @property
+    def volume(self) -> float:
+        """m³."""
+        return float(self._moments[0].sum()) * self.scale**3
+
+    @property
+    def mass(self) -> float:
+        """kg."""
+        return self.volume * self.material.density
+
+    @property
+    def center_of_mass(self) -> FloatArray:
+        """(3,) m."""
+        return np.asarray(self._moments[1].sum(axis=0) / self._moments[0].sum() * self.scale + self.offset)
+
+    @property
+    def inertia(self) -> FloatArray:
+        """(3, 3) kg·m² about the centre of mass, along the asset's axes."""
+        return self._mass_properties(np.arange(len(self._moments[0])))[3]
+
+    @cached_property
+    def hulls(self) -> tuple[Hull, ...]:
+        """Convex parts of the unbroken body."""
+        arrays = self.arrays
+        return self._hulls(arrays.body_points, arrays.body_faces, arrays.body_sizes)
+
+    @cached_property
+    def breaking_impulse(self) -> FloatArray:
+        """(V,) N·s: no single impulse below it at that vertex breaks anything, whatever its direction."""
+        return self._unit_breaking[0] * self.mass * self.material.breaking_velocity
+
+    def scaled(self, scale: float) -> BreakableAsset:
+        """The same object, ``scale`` times as large; arrays are shared."""
+        if not (np.isfinite(scale) and scale > 0):
+            raise AssetError(f"{self.name}: scale must be positive and finite, got {scale!r}")
+        return replace(self, scale=self.scale * float(scale), offset=self.offset * float(scale))
+
+    def with_material(self, material: str | Material) -> BreakableAsset:
+        """The same object of another material, by preset name or as a Material; arrays are shared."""
+        return replace(self, material=as_material(material))
+
+    # Breaking it
+
+    def may_break(self, impulses: Impulse | Sequence[Impulse]) -> bool:
+        """False when these impulses together are surely too weak; costs no model query."""
+        impulses = as_impulses(impulses)
+        _, nearest = self._vertex_tree.query([impulse.point for impulse in impulses])
+        # A point between vertices lies below the least of those around it, which all neighbour the nearest.
+        bound = self._around_breaking[0 if len(impulses) == 1 else 1][nearest]
+        unit = self.mass * self.material.breaking_velocity
+        return bool(sum(impulse.magnitude / unit / b for impulse, b in zip(impulses, bound, strict=True)) >= 1.0)
+
+    def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
+        """What one impulse, or several acting together, do to the unbroken asset.
+
+        predictor: "field", the learned distance field, segmented; or "modes", the generator's own answer.
+        Raises ImpulseError, or FieldError when the model's field is not finite.
+        """
+        impulses = as_impulses(impulses)
+        if predictor not in PREDICTORS:
+            raise FracsimError(f"unknown predictor {predictor!r}; use one of {', '.join(PREDICTORS)}")
+        begin = time.perf_counter()
+        corners, barycentric = self._locate(np.array([impulse.point for impulse in impulses]))
+        directions = np.array([impulse.direction for impulse in impulses])
+        severities = np.array([impulse.magnitude for impulse in impulses]) / (
+            self.mass * self.material.breaking_velocity
+        )
+        severity = float(severities.sum())
+        limit = float(self.model.severity[0])
+        clamped = predictor == "field" and severity > limit
+        if clamped:
+            severities *= limit / severity
+        timings = {"impulse": _ms(begin)}
+        begin = time.perf_counter()
+        if predictor == "modes":
+            rows = np.einsum("kc,kca->ka", barycentric, self.arrays.rows[corners])
+            drive = drives(rows[None], directions[None], severities[None], self._interfaces)
+            labels = components(drive < 1.0, self.arrays.pairs, self._complex.count)[0]
+            labels = absorb_crumbs(labels, self._moments[0], self._interfaces, self.crumb_floor)
+            cracks = labels[self.arrays.pairs[:, 0]] != labels[self.arrays.pairs[:, 1]]
+            field = field_from_scores(cracks.astype(np.float64), self.arrays.distances, self.cap)
+            timings["field"] = _ms(begin)
+            return self._finish(labels, field, timings, predictor, severity, clamped)
+        if not self.may_break(impulses):
+            field = np.full(self.vertex_count, self.cap)
+        else:
+            scores = self.model.scores(corners, barycentric, directions, severities)
+            scores = parting_scores(scores, self.arrays.pairs, self._complex.count)
+            field = field_from_scores(scores, self.arrays.distances, self.cap)
+        timings["field"] = _ms(begin)
+        return self._cut(field, timings, predictor, severity, clamped)
+
+    def fracture_from_field(self, udf: npt.ArrayLike) -> Fracture:
+        """The pieces of a given field: udf (V,) m, distance to the nearest crack, such as a model of one's own."""
+        field = np.asarray(udf, dtype=np.float64)
+        if field.shape != (self.vertex_count,):
+            raise FieldError(f"{self.name}: a field must have shape ({self.vertex_count},), got {field.shape}")
+        return self._cut(field / self.scale, {}, "given", 0.0, False)
+
+    def sample_impulses(self, count: int, seed: int | np.random.Generator) -> list[Impulse]:
+        """Single impulses over the area, in a cone about the inward normal, at 0.3 to 5 times what first
+        parts the body at that point in that direction."""
+        rng = np.random.default_rng(seed)
+        pool = SurfacePoints(self.arrays.points[: self.vertex_count], self.faces)
+        face, barycentric = pool.draw(count, rng)
+        directions = cone(-pool.normals[face], CONE, rng)
+        ratio = np.exp(rng.uniform(np.log(SEVERITY[0]), np.log(SEVERITY[1]), count))
+        rows = pool.rows(self.arrays.rows, face[:, None], barycentric[:, None])
+        drive = drives(rows, directions[:, None], np.ones((count, 1)), self._interfaces)
+        severity = ratio / weakest_cut(drive, self.arrays.pairs, self._complex.count)
+        magnitude = severity * self.mass * self.material.breaking_velocity
+        points = pool.at(face, barycentric) * self.scale + self.offset
+        return [Impulse(*blow) for blow in zip(points, directions, magnitude, strict=True)]
+
+    # Parts of the above
+
+    def _locate(self, points: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The surface points nearest to ``points`` (K, 3) m, as vertices (K, 3) and barycentric coordinates."""
+        local = (points - self.offset) / self.scale
+        _, nearest = self._face_tree.query(local, k=min(16, len(self.faces)))
+        corner = self.arrays.points[self.faces[nearest]]  # (K, 16, 3, 3)
+        barycentric, square = _closest_on_triangles(local[:, None], corner)
+        best = np.argmin(square, axis=1)
+        row = np.arange(len(points))
+        return self.faces[nearest[row, best]], barycentric[row, best]
+
+    def _cut(
+        self, field: FloatArray, timings: dict[str, float], predictor: str, severity: float, clamped: bool
+    ) -> Fracture:
+        if not np.isfinite(field).all():
+            raise FieldError(f"{self.name}: the field holds values that are not finite; no fracture follows from it")
+        begin = time.perf_counter()
+        arrays = self.arrays
+        shores, own, reached, bound = self._shores
+        joined = np.zeros(len(arrays.pairs), dtype=bool)
+        joined[reached] = flooded_passes(field, shores, own, PASS_HEIGHT)
+        joined[bound] = True
+        pairs = arrays.pairs[joined]
+        count = self._complex.count
+        graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+        labels = connected_components(graph, directed=False)[1].astype(np.int64)
+        labels = absorb_crumbs(labels, self._moments[0], self._interfaces, self.crumb_floor)
+        timings["segmentation"] = _ms(begin)
+        return self._finish(labels, field, timings, predictor, severity, clamped)
+
+    def _finish(
+        self,
+        labels: IntArray,
+        field: FloatArray,
+        timings: dict[str, float],
+        predictor: str,
+        severity: float,
+        clamped: bool,
+    ) -> Fracture:
+        begin = time.perf_counter()
+        order = np.argsort(labels, kind="stable")
+        groups = np.split(order, np.cumsum(np.bincount(labels))[:-1])
+        pieces = tuple(self._piece(group, labels, k) for k, group in enumerate(groups))
+        timings["pieces"] = _ms(begin)
+        vertex_labels = labels[self.vertex_atom]
+        return Fracture(vertex_labels, field * self.scale, pieces, timings, predictor, severity, clamped)
+
+    def _piece(self, atoms: IntArray, labels: IntArray, index: int) -> Piece:
+        volume, mass, center, inertia = self._mass_properties(atoms)
+        hulls = tuple(hull for atom in atoms.tolist() for hull in self._atom_hulls[atom])
+
+        def surface() -> tuple[FloatArray, IntArray, npt.NDArray[np.bool_]]:
+            vertices, faces, outer = self._complex.surface(labels == index)
+            return vertices * self.scale + self.offset, faces, outer
+
+        return Piece(volume, mass, center, inertia, hulls, atoms, surface)
+
+    def _mass_properties(self, atoms: IntArray) -> tuple[float, float, FloatArray, FloatArray]:
+        """Volume, mass, centre of mass and inertia about it of some atoms together."""
+        zeroth, first, second = (moment[atoms].sum(axis=0) for moment in self._moments)
+        center = first / zeroth
+        spread = second - zeroth * np.outer(center, center)
+        volume = float(zeroth) * self.scale**3
+        density = self.material.density
+        inertia = (np.trace(spread) * np.eye(3) - spread) * (density * self.scale**5)
+        return volume, volume * density, center * self.scale + self.offset, inertia
+
+    def _hulls(self, points: FloatArray, faces: IntArray, sizes: IntArray) -> tuple[Hull, ...]:
+        ends = np.cumsum(sizes, axis=0)[:-1].T
+        blocks = np.split(points * self.scale + self.offset, ends[0])
+        return tuple(zip(blocks, np.split(faces, ends[1]), strict=True))
+
+    @cached_property
+    def _atom_hulls(self) -> list[list[Hull]]:
+        result: list[list[Hull]] = [[] for _ in range(self._complex.count)]
+        arrays = self.arrays
+        hulls = self._hulls(arrays.hull_points, arrays.hull_faces, arrays.hull_sizes)
+        for atom, hull in zip(self.arrays.hull_atoms.tolist(), hulls, strict=True):
+            result[atom].append(hull)
+        return result
+
+    @cached_property
+    def _complex(self) -> AtomComplex:
+        return AtomComplex(self.arrays.points, self.arrays.triangles, self.arrays.sides)
+
+    @cached_property
+    def _moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self._complex.moments()
+
+    @cached_property
+    def _interfaces(self) -> Interfaces:
+        arrays = self.arrays
+        return Interfaces(arrays.pairs, arrays.areas, arrays.normals, arrays.projected)
+
+    @cached_property
+    def vertex_atom(self) -> IntArray:
+        """(V,) the atom of each vertex."""
+        result = np.full(len(self.arrays.points), -1)
+        outer = self.arrays.sides[:, 1] < 0
+        result[self.arrays.triangles[outer]] = self.arrays.sides[outer, :1]
+        return result[: self.vertex_count]
+
+    @cached_property
+    def _shores(self) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
+        """Shores, their own distances, the interfaces that have any, and the interfaces that bind inner atoms:
+        an atom that no curve borders follows the neighbour it shares most area with."""
+        arrays = self.arrays
+        reached = np.flatnonzero(arrays.shores[:, 0] >= 0)
+        shores = arrays.shores[reached]
+        own = np.take_along_axis(arrays.distances[reached].astype(np.float64), shores, axis=1)
+        inner = np.setdiff1d(np.arange(self._complex.count), arrays.pairs[reached])
+        bound = [
+            rows[np.argmax(arrays.areas[rows])]
+            for atom in inner.tolist()
+            if len(rows := np.flatnonzero((arrays.pairs == atom).any(axis=1)))
+        ]
+        return shores, own, reached, np.array(bound, dtype=np.int64)
+
+    @cached_property
+    def _unit_breaking(self) -> tuple[FloatArray, FloatArray]:
+        """(V,) severities below which one blow parts nothing, and several do not even break an interface."""
+        pairs = self.arrays.pairs
+        jump = np.abs(self.arrays.rows[:, pairs[:, 0]] - self.arrays.rows[:, pairs[:, 1]]).astype(np.float64)
+        if len(pairs) == 0:
+            return np.full(self.vertex_count, np.inf), np.full(self.vertex_count, np.inf)
+        # No direction drives an interface by more than the whole jump, as neither κ nor β exceeds 1.
+        return 1.0 / weakest_cut(jump, pairs, self._complex.count), 1.0 / jump.max(axis=1)
+
+    @cached_property
+    def _around_breaking(self) -> tuple[FloatArray, FloatArray]:
+        """The same, the least over each vertex and its neighbours."""
+        start, end = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]).T
+        result = []
+        for values in self._unit_breaking:
+            least = values.copy()
+            np.minimum.at(least, start, values[end])
+            np.minimum.at(least, end, values[start])
+            result.append(least)
+        return result[0], result[1]
+
+    @cached_property
+    def _face_tree(self) -> cKDTree:
+        return cKDTree(self.arrays.points[self.faces].mean(axis=1))
+
+    @cached_property
+    def _vertex_tree(self) -> cKDTree:
+        return cKDTree(self.vertices)
+
+    # The file
+
+    def save(self, path: str | Path) -> None:
+        """Write the asset, beside and then over ``path``, so that no half of a file is ever there."""
+        from safetensors.numpy import save
+
+        tensors = {f"asset.{name}": _compact(value) for name, value in vars(self.arrays).items()}
+        tensors |= {f"model.{name}": np.ascontiguousarray(value) for name, value in vars(self.model).items()}
+        header = {
+            "format": FORMAT,
+            "name": self.name,
+            "material": self.material.to_dict(),
+            "scale": self.scale,
+            "offset": self.offset.tolist(),
+            "cap": self.cap,
+            "crumb_floor": self.crumb_floor,
+            "metadata": self.metadata,
+        }
+        write_beside(Path(path), save(tensors, metadata={"fracsim": json.dumps(header, sort_keys=True)}))
+
+
+def write_beside(path: Path, data: bytes) -> None:
+    """Write a file under another name in the same folder, then rename it: all of it, or nothing."""
+    if not path.parent.is_dir():
+        raise AssetError(f"{path}: the folder {path.parent} does not exist")
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def load(source: str | os.PathLike[str]) -> BreakableAsset:
+    """Read an asset from a file, or one that ships by its name: bunny, chair, vase.
+
+    Raises AssetError, naming the file and the fault, if it is missing, truncated, or of another format.
+    """
+    path = Path(source)
+    shipped = resources.files("fracsim.meshes")
+    if not path.suffix and not path.exists():
+        entry = shipped / f"{source}{SUFFIX}"
+        if not entry.is_file():
+            names = sorted(item.name[: -len(SUFFIX)] for item in shipped.iterdir() if item.name.endswith(SUFFIX))
+            raise AssetError(f"{source}: no such asset; those that ship are {', '.join(names)}; or give a file")
+        return _parse(entry.read_bytes(), str(source))
+    if not path.is_file():
+        raise AssetError(f"{path}: no such file")
+    return _parse(path.read_bytes(), str(path))
+
+
+def _parse(data: bytes, where: str) -> BreakableAsset:
+    from safetensors import SafetensorError
+    from safetensors.numpy import load as load_tensors
+
+    again = "bake it again with: fracsim bake"
+    try:
+        tensors = load_tensors(data)
+        length = int.from_bytes(data[:8], "little")
+        header = json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["fracsim"])
+    except SafetensorError as error:
+        raise AssetError(f"{where}: truncated or not an asset ({error}); {again}") from error
+    except (KeyError, ValueError, TypeError) as error:
+        raise AssetError(f"{where}: not a fracsim asset (its header is missing); {again}") from error
+    if header.get("format") != FORMAT:
+        raise AssetError(f"{where}: format {header.get('format')}, this version reads {FORMAT}; {again}")
+    try:
+        arrays = {name: tensors[f"asset.{name}"] for name in AssetArrays.__dataclass_fields__}
+        for name, value in arrays.items():
+            if value.dtype.kind == "i":
+                arrays[name] = value.astype(np.int64)
+        model = FieldModel(**{name: tensors[f"model.{name}"] for name in FieldModel.names()})
+        material = Material(**header["material"])
+        asset = BreakableAsset(
+            name=str(header["name"]),
+            material=material,
+            scale=float(header["scale"]),
+            offset=np.array(header["offset"], dtype=np.float64),
+            cap=float(header["cap"]),
+            crumb_floor=float(header["crumb_floor"]),
+            arrays=AssetArrays(**arrays),
+            model=model,
+            metadata=header["metadata"],
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise AssetError(f"{where}: an entry of the asset is missing or malformed ({error}); {again}") from error
+    for name, value in tensors.items():
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            raise AssetError(f"{where}: {name} holds values that are not finite; {again}")
+    return asset
+
+
+def _compact(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Integers in no more bits than they need; everything else as it is."""
+    if values.dtype.kind == "i":
+        for small in (np.int16, np.int32):
+            if values.size == 0 or max(values.max(), -values.min()) <= np.iinfo(small).max:
+                return np.ascontiguousarray(values, dtype=small)
+    return np.ascontiguousarray(values)
+
+
+def _ms(begin: float) -> float:
+    return (time.perf_counter() - begin) * 1e3
+
+
+def _closest_on_triangles(points: FloatArray, triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Nearest points on triangles: barycentric coordinates (..., 3) and squared distances (...)."""
+    a, b, c = np.moveaxis(triangles, -2, 0)
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv = (np.einsum("...i,...i->...", x, y) for x, y in ((u, u), (u, v), (v, v)))
+    uw, vw = (np.einsum("...i,...i->...", x, w) for x in (u, v))
+    determinant = uu * vv - uv**2
+    s, t = (vv * uw - uv * vw) / determinant, (uu * vw - uv * uw) / determinant
+    inside = (s >= 0) & (t >= 0) & (s + t <= 1)
+    along_u, along_v = np.clip(uw / uu, 0, 1), np.clip(vw / vv, 0, 1)
+    edge = np.clip((vw - uw - uv + uu) / (uu - 2 * uv + vv), 0, 1)
+    zero = np.zeros_like(s)
+    options = np.stack(
+        [np.stack([along_u, zero], -1), np.stack([zero, along_v], -1), np.stack([1 - edge, edge], -1)], axis=-2
+    )
+    reach = options[..., :1] * u[..., None, :] + options[..., 1:] * v[..., None, :] - w[..., None, :]
+    nearest = np.argmin((reach**2).sum(-1), axis=-1)
+    on_edge = np.take_along_axis(options, nearest[..., None, None], axis=-2)[..., 0, :]
+    st = np.where(inside[..., None], np.stack([s, t], -1), on_edge)
+    gap = st[..., :1] * u + st[..., 1:] * v - w
+    return np.concatenate([1 - st.sum(-1, keepdims=True), st], axis=-1), (gap**2).sum(-1)

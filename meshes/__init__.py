@@ -1,0 +1,1 @@
+"""The example meshes (bunny, chair, vase) and the assets baked from them."""

@@ -1,0 +1,239 @@
+"""The shipped assets: what breaks off them is solid, exact, and where the labels say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import fracsim
+from fracsim.metrics import ari
+
+SAMPLES = 50
+
+
+@pytest.fixture(scope="module")
+def fractures(shipped):
+    return [shipped.fracture(impulse) for impulse in shipped.sample_impulses(SAMPLES, 7)]
+
+
+def test_at_least_half_of_the_sampled_impulses_break_it(fractures):
+    assert sum(fracture.broken for fracture in fractures) >= SAMPLES / 2
+
+
+def test_pieces_are_watertight_and_their_volumes_sum_to_the_whole(shipped, fractures):
+    whole = trimesh.Trimesh(shipped.vertices, shipped.faces, process=False).volume
+    for fracture in fractures:
+        meshes = [trimesh.Trimesh(piece.vertices, piece.faces) for piece in fracture.pieces]
+        assert all(mesh.is_watertight and mesh.is_winding_consistent for mesh in meshes)
+        exact = [trimesh.Trimesh(p.vertices, p.faces, process=False).volume for p in fracture.pieces]
+        assert sum(exact) == pytest.approx(whole, rel=1e-9)
+        np.testing.assert_allclose([piece.volume for piece in fracture.pieces], exact, rtol=1e-9)
+
+
+def test_mass_properties_are_those_of_the_solids_and_add_up(shipped, fractures):
+    for fracture in fractures[:15]:
+        for piece in fracture.pieces:
+            mesh = trimesh.Trimesh(piece.vertices, piece.faces, process=False)
+            mesh.density = shipped.material.density
+            assert piece.mass == pytest.approx(mesh.mass, rel=1e-9)
+            np.testing.assert_allclose(piece.center_of_mass, mesh.center_mass, atol=1e-9 * shipped.size)
+            scale = np.abs(mesh.moment_inertia).max()
+            np.testing.assert_allclose(piece.inertia, mesh.moment_inertia, atol=1e-7 * scale)
+            assert (np.linalg.eigvalsh(piece.inertia) > 0).all()
+        mass = np.array([piece.mass for piece in fracture.pieces])
+        centers = np.array([piece.center_of_mass for piece in fracture.pieces])
+        assert mass.sum() == pytest.approx(shipped.mass, rel=1e-12)
+        np.testing.assert_allclose(mass @ centers / mass.sum(), shipped.center_of_mass, atol=1e-12)
+
+
+def test_the_outside_of_the_pieces_is_the_input_surface(shipped, fractures):
+    area = trimesh.Trimesh(shipped.vertices, shipped.faces, process=False).area
+    surface = trimesh.Trimesh(shipped.vertices, shipped.faces, process=False)
+    for fracture in [fracture for fracture in fractures if fracture.broken][:6]:
+        outer = [(piece.vertices, piece.faces[piece.outer]) for piece in fracture.pieces]
+        total = sum(trimesh.Trimesh(v, f, process=False).area for v, f in outer)
+        assert total == pytest.approx(area, rel=1e-9)
+        middles = np.concatenate([v[f].mean(axis=1)[:40] for v, f in outer])
+        _, distance, _ = trimesh.proximity.closest_point(surface, middles)
+        assert distance.max() < 1e-9 * shipped.size
+
+
+def test_vertices_lie_on_the_piece_that_their_label_names(shipped, fractures):
+    for fracture in [fracture for fracture in fractures if fracture.broken][:3]:
+        rows = np.random.default_rng(0).choice(len(shipped.vertices), 150, replace=False)
+        distance = np.array(
+            [
+                trimesh.proximity.closest_point(
+                    trimesh.Trimesh(piece.vertices, piece.faces, process=False), shipped.vertices[rows]
+                )[1]
+                for piece in fracture.pieces
+            ]
+        )
+        on_named = distance[fracture.labels[rows], np.arange(len(rows))] < 1e-9 * shipped.size
+        assert on_named.mean() >= 0.995
+        # And it is no empty claim: hardly any vertex touches another piece as well.
+        assert ((distance < 1e-9 * shipped.size).sum(axis=0) == 1).mean() > 0.95
+
+
+def test_labels_number_the_pieces(fractures):
+    for fracture in fractures:
+        assert fracture.labels.min() >= 0
+        assert set(np.unique(fracture.labels)) <= set(range(len(fracture.pieces)))
+
+
+def test_changing_the_field_changes_the_pieces(shipped):
+    broken = next(f for i in shipped.sample_impulses(50, 1) if len((f := shipped.fracture(i)).pieces) > 2)
+    again = shipped.fracture_from_field(broken.udf)
+    np.testing.assert_array_equal(again.labels, broken.labels)
+    whole = shipped.fracture_from_field(np.full(len(shipped.vertices), shipped.cap * shipped.size))
+    assert len(whole.pieces) == 1
+    filled = broken.udf.copy()
+    filled[np.isin(broken.labels, (0, 1))] = shipped.cap * shipped.size
+    assert len(shipped.fracture_from_field(filled).pieces) < len(broken.pieces)
+
+
+def test_the_learned_field_beats_the_nearest_training_impulse_on_held_out_impulses(shipped):
+    figures = shipped.metadata["test"]
+    assert figures["breaking"] > 500
+    assert figures["ari"] > figures["ari_nearest_impulse"]
+    assert figures["ari_of_the_true_field"] > 0.99
+
+
+def test_the_field_agrees_with_the_generator_on_impulses_drawn_anew(shipped):
+    pairs = [
+        (shipped.fracture(impulse, "modes"), shipped.fracture(impulse, "field"))
+        for impulse in shipped.sample_impulses(120, 99)
+    ]
+    score = np.mean([ari(truth.labels, guess.labels) for truth, guess in pairs if truth.broken])
+    assert score == pytest.approx(shipped.metadata["test"]["ari"], abs=0.08)
+    agree = np.mean([truth.broken == guess.broken for truth, guess in pairs])
+    assert agree > 0.9
+
+
+def test_convex_parts_of_different_pieces_do_not_overlap(shipped):
+    import manifold3d
+
+    fracture = next(f for i in shipped.sample_impulses(50, 2) if 2 < len((f := shipped.fracture(i)).pieces) < 9)
+    solids = [
+        (k, manifold3d.Manifold.hull_points(points))
+        for k, piece in enumerate(fracture.pieces)
+        for points, _ in piece.hulls
+    ]
+    gap = min(a.min_gap(b, 0.01 * shipped.size) for i, a in solids for j, b in solids if i < j)
+    assert gap > 2e-3 * shipped.size
+    kept = sum(solid.volume() for _, solid in solids) / shipped.volume
+    assert 0.9 < kept < 1.25
+
+
+def test_an_impulse_below_the_breaking_impulse_breaks_nothing_and_costs_no_query(shipped, monkeypatch):
+    vertex = int(np.argmax(shipped.breaking_impulse))
+    normal = trimesh.Trimesh(shipped.vertices, shipped.faces, process=False).vertex_normals[vertex]
+    weak = fracsim.Impulse(shipped.vertices[vertex], -normal, 1e-3 * shipped.breaking_impulse.min())
+    assert not shipped.may_break(weak)
+    monkeypatch.setattr(type(shipped.model), "scores", lambda *_: pytest.fail("the model was asked"))
+    fracture = shipped.fracture(weak)
+    assert not fracture.broken
+    assert (fracture.udf == shipped.cap * shipped.size).all()
+    assert len(fracture.pieces) == 1
+    assert fracture.pieces[0].mass == pytest.approx(shipped.mass)
+
+
+def test_the_gate_never_holds_back_an_impulse_that_the_generator_breaks(shipped):
+    for impulse in shipped.sample_impulses(200, 5):
+        if shipped.fracture(impulse, "modes").broken:
+            assert shipped.may_break(impulse)
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(scale=st.floats(0.01, 100.0), seed=st.integers(0, 1000))
+def test_size_and_material_change_units_only(shipped, scale, seed):
+    other = shipped.scaled(scale).with_material("glass")
+    assert other.mass == pytest.approx(shipped.volume * scale**3 * other.material.density)
+    impulse = shipped.sample_impulses(1, seed)[0]
+    unit = shipped.mass * shipped.material.breaking_velocity
+    moved = fracsim.Impulse(
+        impulse.point * scale,
+        impulse.direction,
+        impulse.magnitude / unit * other.mass * other.material.breaking_velocity,
+    )
+    np.testing.assert_array_equal(shipped.fracture(impulse).labels, other.fracture(moved).labels)
+
+
+def test_the_order_of_simultaneous_impulses_does_not_matter(shipped):
+    blows = shipped.sample_impulses(4, 3)
+    forward, backward = shipped.fracture(blows), shipped.fracture(blows[::-1])
+    np.testing.assert_array_equal(forward.labels, backward.labels)
+
+
+def test_an_impulse_beyond_the_trained_severity_is_clamped_and_says_so(shipped):
+    impulse = shipped.sample_impulses(1, 0)[0]
+    huge = fracsim.Impulse(impulse.point, impulse.direction, impulse.magnitude * 1e6)
+    fracture = shipped.fracture(huge)
+    assert fracture.clamped
+    assert fracture.severity > float(shipped.model.severity[0])
+    assert fracture.broken
+
+
+def test_a_larger_crumb_floor_merges_crumbs_mass_included(shipped):
+    import dataclasses
+
+    coarse = dataclasses.replace(shipped, crumb_floor=0.1)
+    for impulse in shipped.sample_impulses(20, 4):
+        pieces = coarse.fracture(impulse).pieces
+        assert min(piece.volume for piece in pieces) >= 0.1 * shipped.volume
+        assert sum(piece.mass for piece in pieces) == pytest.approx(shipped.mass)
+
+
+# The file
+
+
+def test_saving_and_loading_changes_nothing(shipped, tmp_path):
+    path = tmp_path / "again.frac"
+    shipped.save(path)
+    again = fracsim.load(path)
+    assert again.metadata == shipped.metadata
+    assert again.material == shipped.material
+    impulse = shipped.sample_impulses(1, 6)[0]
+    np.testing.assert_array_equal(again.fracture(impulse).udf, shipped.fracture(impulse).udf)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["again.frac"]
+
+
+@pytest.mark.parametrize("length", [0, 4, 100, 5000, -1])
+def test_a_truncated_asset_is_refused_by_name(shipped, tmp_path, length):
+    path = tmp_path / "half.frac"
+    shipped.save(path)
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.raises(fracsim.AssetError, match=r"half\.frac"):
+        fracsim.load(path)
+
+
+def test_other_faults_of_asset_files_name_the_file_and_the_way_out(tmp_path):
+    with pytest.raises(fracsim.AssetError, match=r"nowhere\.frac: no such file"):
+        fracsim.load(tmp_path / "nowhere.frac")
+    with pytest.raises(fracsim.AssetError, match="those that ship are bunny, chair, vase"):
+        fracsim.load("teapot")
+    from safetensors.numpy import save_file
+
+    save_file({"x": np.zeros(3)}, tmp_path / "other.frac")
+    with pytest.raises(fracsim.AssetError, match=r"other\.frac: not a fracsim asset.*bake"):
+        fracsim.load(tmp_path / "other.frac")
+
+
+def test_bad_questions_are_typed_errors(shipped):
+    impulse = shipped.sample_impulses(1, 0)[0]
+    with pytest.raises(fracsim.FracsimError, match="unknown predictor 'tarot'"):
+        shipped.fracture(impulse, predictor="tarot")
+    with pytest.raises(fracsim.FieldError, match="shape"):
+        shipped.fracture_from_field(np.zeros(3))
+    with pytest.raises(fracsim.FieldError, match="not finite"):
+        shipped.fracture_from_field(np.full(len(shipped.vertices), np.nan))
+    with pytest.raises(fracsim.MaterialError, match="glass"):
+        shipped.with_material("jelly")
+    with pytest.raises(fracsim.AssetError, match="scale"):
+        shipped.scaled(-1.0)
+    for wrong in ([(0, 0, 0), (0, 0, 0), 1.0], [(0, 0), (0, 0, 1), 1.0], [(0, 0, 0), (0, 0, 1), np.nan]):
+        with pytest.raises(fracsim.ImpulseError):
+            fracsim.Impulse(*wrong)

@@ -1,0 +1,177 @@
+"""Baking a mesh of one's own: it works, is repeatable, and refuses what it cannot bake, leaving no file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import QUICK
+
+import fracsim
+from fracsim.cli import main
+from fracsim.dataset import CONTACTS, Generator, sample
+from fracsim.mesh import read_surface
+
+
+def test_a_users_own_mesh_bakes_and_breaks(slab, slab_mesh):
+    assert slab.size == pytest.approx(0.4)
+    assert slab.mass == pytest.approx(0.4 * 0.2 * 0.1 * 2500)
+    np.testing.assert_allclose(slab.center_of_mass, (1.0, -2.0, 0.5), atol=1e-9)
+    np.testing.assert_allclose(slab.vertices, slab_mesh.vertices, atol=1e-12)
+    fractures = [slab.fracture(impulse) for impulse in slab.sample_impulses(30, 0)]
+    assert max(len(fracture.pieces) for fracture in fractures) >= 2
+    assert min(len(fracture.pieces) for fracture in fractures) == 1
+    piece = max(fractures, key=lambda f: len(f.pieces)).pieces[0]
+    assert trimesh.Trimesh(piece.vertices, piece.faces).is_watertight
+
+
+def test_its_metadata_says_how_long_each_stage_took_and_how_good_it_is(slab):
+    seconds = slab.metadata["seconds"]
+    assert seconds["total"] == pytest.approx(sum(v for k, v in seconds.items() if k != "total"))
+    assert {"solid", "modes", "samples", "training", "convex", "clipping"} <= set(seconds)
+    assert {"ari", "ari_nearest_impulse", "balanced_accuracy"} <= set(slab.metadata["test"])
+    json.dumps(slab.metadata)
+
+
+def test_one_seed_gives_one_asset(slab, slab_mesh):
+    again = fracsim.bake(slab_mesh, material="glass", seed=3, options=QUICK)
+    for mine, other in zip(vars(slab.arrays).values(), vars(again.arrays).values(), strict=True):
+        np.testing.assert_array_equal(mine, other)
+    for mine, other in zip(vars(slab.model).values(), vars(again.model).values(), strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+@pytest.fixture(scope="module")
+def samples(slab):
+    surface = read_surface(trimesh.Trimesh(slab.vertices, slab.faces, process=False))
+    generator = Generator(surface, slab.arrays.rows, slab._interfaces, slab._moments[0], 1e-3)
+    return surface, sample(generator, 4000, np.random.default_rng(0))
+
+
+def test_samples_break_exactly_from_their_own_threshold_on(samples):
+    _, drawn = samples
+    np.testing.assert_array_equal(drawn.labels.any(axis=1), drawn.ratio >= 1)
+
+
+def test_samples_are_uniform_over_the_area_and_a_share_has_several_contacts(samples):
+    surface, drawn = samples
+    single = (drawn.severities > 0).sum(axis=1) == 1
+    assert 0.2 < 1 - single.mean() < 0.3
+    area = surface.trimesh.area_faces / surface.trimesh.area
+    octant = (surface.trimesh.triangles_center > 0) @ [4, 2, 1]
+    expected = np.bincount(octant, area, minlength=8)
+    found = np.bincount(octant[drawn.faces[single, 0]], minlength=8) / single.sum()
+    np.testing.assert_allclose(found, expected, atol=4 * np.sqrt(0.125 / single.sum()))
+    assert drawn.severities.shape[1] == CONTACTS
+    np.testing.assert_allclose(np.linalg.norm(drawn.directions, axis=2), 1.0)
+
+
+def test_splits_are_disjoint_and_of_the_stated_shares(samples):
+    _, drawn = samples
+    assert np.bincount(drawn.split).tolist() == [3060, 340, 600]
+
+
+# Refusals
+
+
+def write(path, vertices, faces):
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def box():
+    mesh = trimesh.creation.box()
+    return np.array(mesh.vertices), np.array(mesh.faces)
+
+
+def two_boxes():
+    vertices, faces = box()
+    return np.vstack([vertices, vertices + 3]), np.vstack([faces, faces + 8])
+
+
+def with_nan():
+    vertices, faces = box()
+    vertices[3, 1] = np.nan
+    return vertices, faces
+
+
+BAD = {
+    "open": (lambda: (box()[0], box()[1][:-1]), "not watertight"),
+    "two": (two_boxes, "2 components"),
+    "nan": (with_nan, "not finite"),
+    "empty": (lambda: (np.zeros((0, 3)), np.zeros((0, 3), int)), "empty mesh|cannot be read"),
+    "flat": (lambda: (box()[0] * [1, 1, 0], box()[1]), "no volume|degenerate|not watertight"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_mesh_that_cannot_be_baked_is_refused_by_name_and_writes_nothing(name, tmp_path, capsys):
+    make, fault = BAD[name]
+    mesh, out, figures = tmp_path / f"{name}.obj", tmp_path / "b.frac", tmp_path / "r.json"
+    write(mesh, *make())
+    with pytest.raises(fracsim.MeshError, match=f"{name}.obj.*({fault})"):
+        fracsim.bake(mesh)
+    assert main(["bake", str(mesh), "--out", str(out), "--json", str(figures)]) == 2
+    assert f"{name}.obj" in capsys.readouterr().err
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [mesh.name]
+
+
+def test_a_missing_mesh_a_missing_folder_and_a_wrong_material_end_with_code_2(tmp_path, capsys):
+    mesh = tmp_path / "box.obj"
+    write(mesh, *box())
+    assert main(["bake", str(tmp_path / "none.obj")]) == 2
+    assert "none.obj: no such file" in capsys.readouterr().err
+    assert main(["bake", str(mesh), "--out", str(tmp_path / "no" / "b.frac")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+    assert main(["bake", str(mesh), "--material", "jelly", "--out", str(tmp_path / "b.frac")]) == 2
+    assert "jelly" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["box.obj"]
+
+
+def test_an_interrupted_bake_leaves_no_file(tmp_path, monkeypatch, capsys):
+    mesh = tmp_path / "box.obj"
+    write(mesh, *box())
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fracsim.baking.cut_lattice", interrupt)
+    assert main(["bake", str(mesh), "--out", str(tmp_path / "b.frac"), "--quiet"]) == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["box.obj"]
+
+
+def test_too_few_modes_to_part_anything_is_a_bake_error(slab_mesh):
+    with pytest.raises(fracsim.BakeError, match="no fracture mode parts it"):
+        fracsim.bake(slab_mesh, options=dataclasses.replace(QUICK, modes=0))
+
+
+# The rest of the command line
+
+
+def test_the_fracture_command_writes_the_pieces_and_its_figures(slab, tmp_path, capsys):
+    asset = tmp_path / "slab.frac"
+    slab.save(asset)
+    code = main(
+        ["fracture", str(asset), "--seed", "4", "--out", str(tmp_path / "pieces"), "--json", str(tmp_path / "f.json")]
+    )
+    assert code == 0
+    figures = json.loads((tmp_path / "f.json").read_text())
+    files = sorted((tmp_path / "pieces").iterdir())
+    assert len(files) == len(figures["pieces"])
+    total = sum(trimesh.load(path, process=False).volume for path in files)
+    assert total == pytest.approx(slab.volume, rel=1e-6)
+    assert "kg" in capsys.readouterr().out
+
+
+def test_the_info_command_reads_any_asset_and_refuses_what_is_none(slab, tmp_path, capsys):
+    assert main(["info", "bunny", "--json", str(tmp_path / "i.json")]) == 0
+    assert json.loads((tmp_path / "i.json").read_text())["name"] == "bunny"
+    (tmp_path / "junk.frac").write_bytes(b"junk" * 100)
+    assert main(["info", str(tmp_path / "junk.frac")]) == 2
+    assert "junk.frac" in capsys.readouterr().err
+    assert main(["fracture", "bunny", "--magnitude", "3"]) == 2
+    assert "together" in capsys.readouterr().err

@@ -1,0 +1,559 @@
+"""The world: bodies that break, keep what they carried, and leave everything else alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pybullet as p
+import pytest
+
+import fracsim
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+CUBE_FACES = np.array([t for a, b, c, d in QUADS for t in ((a, b, c), (a, c, d))])
+
+
+def block(low, high, density, parts):
+    """A box, its convex parts 3 mm (of a 1 m object) inside it."""
+    low, high = np.array(low, dtype=float), np.array(high, dtype=float)
+    extent = high - low
+    mass = density * extent.prod()
+    inertia = mass / 12 * np.diag((extent**2).sum() - extent**2)
+    edges = np.linspace(low[1], high[1], parts + 1)
+    gap = 1.5e-3 * extent[2]
+    hulls = tuple(
+        (
+            CUBE * (np.array([high[0], b, high[2]]) - [low[0], a, low[2]] - 2 * gap) + [low[0], a, low[2]] + gap,
+            CUBE_FACES,
+        )
+        for a, b in itertools.pairwise(edges)
+    )
+    return SimpleNamespace(
+        vertices=CUBE * extent + low,
+        faces=CUBE_FACES,
+        mass=mass,
+        center_of_mass=(low + high) / 2,
+        inertia=inertia,
+        hulls=hulls,
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SlabBox:
+    """A box with its frame at a corner; it breaks into slabs across x when hit with `toughness` N·s."""
+
+    size: float = 1.0
+    slabs: int = 4
+    toughness: float = 1.0
+    density: float = 10.0
+    restitution: float = 0.0
+    queries: list = dataclasses.field(default_factory=list)
+
+    name = "slab box"
+
+    def __post_init__(self):
+        whole = block((0, 0, 0), [self.size] * 3, self.density, 2)
+        for field in ("vertices", "faces", "mass", "center_of_mass", "inertia", "hulls"):
+            object.__setattr__(self, field, getattr(whole, field))
+
+    @property
+    def material(self):
+        return SimpleNamespace(name="ceramic", density=self.density, restitution=self.restitution)
+
+    @property
+    def breaking_impulse(self):
+        return np.full(len(self.vertices), self.toughness)
+
+    def scaled(self, scale):
+        return dataclasses.replace(self, size=self.size * scale, toughness=self.toughness * scale**3)
+
+    def with_material(self, material):
+        return self
+
+    def may_break(self, impulses):
+        return max(impulse.magnitude for impulse in impulses) >= self.toughness
+
+    def fracture(self, impulses, predictor="field"):
+        self.queries.append(impulses)
+        edges = np.linspace(0, self.size, self.slabs + 1 if self.may_break(impulses) else 2)
+        pieces = tuple(
+            block((a, 0, 0), (b, self.size, self.size), self.density, 2) for a, b in itertools.pairwise(edges)
+        )
+        return SimpleNamespace(pieces=pieces, labels=None, udf=None, timings={"field": 0.0})
+
+
+HARD = fracsim.Impulse((0.5, 0.5, 1.0), (0, 0, -1), 100.0)
+
+
+@pytest.fixture
+def client():
+    client = p.connect(p.DIRECT)
+    yield client
+    if p.getConnectionInfo(client)["isConnected"]:
+        p.disconnect(client)
+
+
+def floor(client, restitution=0.0):
+    shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
+    body = p.createMultiBody(0, shape, physicsClientId=client)
+    p.changeDynamics(body, -1, restitution=restitution, physicsClientId=client)
+    p.setGravity(0, 0, -9.81, physicsClientId=client)
+    return body
+
+
+def ball(client, mass, radius, position, velocity):
+    shape = p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=client)
+    body = p.createMultiBody(mass, shape, -1, position, physicsClientId=client)
+    p.changeDynamics(body, -1, linearDamping=0, angularDamping=0, physicsClientId=client)
+    p.resetBaseVelocity(body, velocity, physicsClientId=client)
+    return body
+
+
+def mechanics(client, bodies):
+    """Mass, momentum, angular momentum about the origin, centre of mass, kinetic energy; as in the engine."""
+    mass, momentum, spin, first, energy = 0.0, np.zeros(3), np.zeros(3), np.zeros(3), 0.0
+    for body in bodies:
+        info = p.getDynamicsInfo(body, -1, physicsClientId=client)
+        position, orientation = p.getBasePositionAndOrientation(body, physicsClientId=client)
+        linear, angular = map(np.array, p.getBaseVelocity(body, physicsClientId=client))
+        rotation = np.reshape(p.getMatrixFromQuaternion(orientation), (3, 3))
+        inertia = rotation @ np.diag(info[2]) @ rotation.T
+        mass += info[0]
+        momentum += info[0] * linear
+        spin += np.cross(position, info[0] * linear) + inertia @ angular
+        first += info[0] * np.array(position)
+        energy += 0.5 * info[0] * linear @ linear + 0.5 * angular @ inertia @ angular
+    return mass, momentum, spin, first / mass, energy
+
+
+def tilted():
+    return p.getQuaternionFromEuler((0.4, -0.7, 1.1))
+
+
+# --- what a break keeps
+
+
+def test_a_break_on_command_conserves_mass_momentum_angular_momentum_centre_of_mass_and_energy(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox(), (1, 2, 3), tilted(), (3, -1, 2), (0.5, 4, -2))
+    before = mechanics(client, [body])
+    event = world.fracture(body, HARD)
+    assert len(event.children) == 4
+    for old, new in zip(before, mechanics(client, event.children), strict=True):
+        np.testing.assert_allclose(new, old, rtol=1e-9, atol=1e-9 * np.abs(old).max())
+
+
+def test_pieces_appear_where_they_were_in_the_body(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox(), (1, 2, 3), tilted())
+    pose = world.pose(body)
+    np.testing.assert_allclose(pose[0], (1, 2, 3), atol=1e-12)
+    for child in world.fracture(body, HARD).children:
+        for new, old in zip(world.pose(child), pose, strict=True):
+            np.testing.assert_allclose(new, old, atol=1e-12)
+
+
+def test_pieces_left_alone_stay_where_they_are(client):
+    world = fracsim.World(client)
+    children = world.fracture(world.add(SlabBox(), orientation=tilted()), HARD).children
+    for _ in range(240):
+        world.step()
+    assert max(np.abs(p.getBaseVelocity(child, physicsClientId=client)).max() for child in children) < 1e-3
+
+
+def test_the_pieces_of_a_small_object_stay_too(client):
+    world = fracsim.World(client)
+    children = world.fracture(world.add(SlabBox(), scale=0.1), HARD).children
+    for _ in range(240):
+        world.step()
+    assert max(np.abs(p.getBaseVelocity(child, physicsClientId=client)).max() for child in children) < 1e-3
+
+
+def test_pieces_inherit_friction_restitution_and_damping(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox(), linear_velocity=(1, 0, 0), linear_damping=0.0, angular_damping=0.0)
+    p.changeDynamics(body, -1, lateralFriction=0.9, restitution=0.3, rollingFriction=0.01, physicsClientId=client)
+    child = world.fracture(body, HARD).children[0]
+    info = p.getDynamicsInfo(child, -1, physicsClientId=client)
+    assert (info[1], info[5], info[6]) == (0.9, 0.3, 0.01)
+    for _ in range(60):
+        world.step()
+    assert p.getBaseVelocity(child, physicsClientId=client)[0][0] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_bodies_and_pieces_may_be_faster_than_a_hundred_metres_a_second(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox(), linear_velocity=(150, 0, 0), linear_damping=0.0)
+    world.step()
+    child = world.fracture(body, HARD).children[0]
+    world.step()
+    assert p.getBaseVelocity(child, physicsClientId=client)[0][0] == pytest.approx(150)
+
+
+def test_every_convex_part_collides(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox())
+    assert len(p.getCollisionShapeData(body, -1, physicsClientId=client)) == 2
+    low, high = p.getAABB(body, -1, physicsClientId=client)
+    np.testing.assert_allclose((*low, *high), (0, 0, 0, 1, 1, 1), atol=3e-3)
+
+
+def test_shapes_leave_no_files_behind(client, monkeypatch, tmp_path):
+    monkeypatch.setattr("fracsim.physics.engine._MEMORY", str(tmp_path))
+    unlink, unlinked = os.unlink, []
+    monkeypatch.setattr(os, "unlink", lambda path: unlinked.append(path) or unlink(path))
+    world = fracsim.World(client)
+    world.fracture(world.add(SlabBox()), HARD)
+    assert len(unlinked) == 5
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_scale_scales_the_body(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox(), scale=0.5)
+    assert p.getDynamicsInfo(body, -1, physicsClientId=client)[0] == pytest.approx(10 / 8)
+    assert world.asset(body).size == 0.5
+
+
+# --- hits
+
+
+def test_a_hard_landing_breaks_the_body_and_energy_does_not_rise(client):
+    floor(client)
+    world = fracsim.World(client)
+    asset = SlabBox()
+    body = world.add(asset, (0, 0, 1), tilted())
+    total = []
+    events = []
+    while not events and world.time < 2:
+        total.append(_energy(client, [body]))
+        events = world.step()
+    [event] = events
+    assert event.parent == body
+    assert event.impulse.magnitude > asset.toughness
+    assert world.bodies == ()
+    assert world.pieces == event.children
+    assert {"impulse", "fracture", "bodies"} <= event.timings.keys()
+    for _ in range(240):
+        assert _energy(client, event.children) < total[-1] * 1.002
+        world.step()
+
+
+def _energy(client, bodies):
+    mass, _, _, center, kinetic = mechanics(client, bodies)
+    return kinetic + 9.81 * mass * center[2]
+
+
+@pytest.mark.parametrize("rate", [240, 1000])
+def test_the_impulse_is_what_stops_the_corner_that_hits(client, rate):
+    floor(client)
+    p.setTimeStep(1 / rate, physicsClientId=client)
+    world = fracsim.World(client)
+    asset = SlabBox(toughness=1e9)
+    rotation = np.reshape(p.getMatrixFromQuaternion(tilted()), (3, 3))
+    lowest = (rotation @ asset.vertices.T)[2].min()
+    world.add(asset, (0, 0, 0.5 - lowest), tilted(), (0, 0, -2), linear_damping=0.0)
+    hits = []
+    world.on_contact(hits.append)
+    while not hits:
+        world.step()
+    hit = hits[0]
+    arm = asset.vertices[np.linalg.norm(asset.vertices - hit.impulse.point, axis=1).argmin()] - asset.center_of_mass
+    lever = np.cross(rotation @ arm, (0, 0, 1))
+    inverse = 1 / asset.mass + lever @ np.linalg.solve(asset.inertia, lever)
+    assert hit.impulse.magnitude == pytest.approx(np.sqrt(4 + 2 * 9.81 * 0.5) / inverse, rel=0.02)
+    np.testing.assert_allclose(hit.direction, (0, 0, 1), atol=1e-6)
+
+
+def test_a_ball_breaks_a_free_body_and_the_blow_is_not_lost(client):
+    world = fracsim.World(client)
+    world.add(SlabBox(), (-0.5, -0.5, -0.5), linear_damping=0.0, angular_damping=0.0)
+    shot = ball(client, 2.0, 0.1, (-1, 0.1, 0.05), (10, 0, 0))
+    momentum = np.array([20.0, 0, 0])
+    events = []
+    while not events and world.time < 1:
+        events = world.step()
+    bodies = [shot, *events[0].children]
+    for _ in range(24):
+        np.testing.assert_allclose(mechanics(client, bodies)[1], momentum, atol=2e-3 * 20)
+        world.step()
+    assert p.getBaseVelocity(events[0].children[0], physicsClientId=client)[0][0] > 0.5
+
+
+def test_a_central_blow_is_predicted_to_a_percent(client):
+    world = fracsim.World(client)
+    world.add(SlabBox(toughness=1e9, restitution=0.5), (-0.5, -0.5, -0.5))
+    shot = ball(client, 2.0, 0.1, (-1, 0, 0), (10, 0, 0))
+    p.changeDynamics(shot, -1, restitution=0.5, physicsClientId=client)
+    hits = []
+    world.on_contact(hits.append)
+    for _ in range(24):
+        world.step()
+    total = sum(hit.impulse.magnitude for hit in hits)
+    assert total == pytest.approx(1.25 * 10 / (1 / 2 + 1 / 10), rel=0.01)
+    assert hits[0].other == shot
+    assert hits[0].moving
+
+
+def test_two_breakables_that_meet_each_get_a_query(client):
+    world = fracsim.World(client)
+    left, right = SlabBox(), SlabBox()
+    world.add(left, (-1.2, 0, 0), linear_velocity=(5, 0, 0))
+    world.add(right, (0.2, 0.1, 0.1), linear_velocity=(-5, 0, 0))
+    events = []
+    while not events and world.time < 1:
+        events = world.step()
+    assert len(events) == 2
+    assert len(left.queries) == len(right.queries) == 1
+
+
+def test_all_contacts_of_a_step_are_one_query(client):
+    world = fracsim.World(client)
+    asset = SlabBox()
+    world.add(asset, (-0.5, -0.5, -0.5))
+    for side in (-1, 1):
+        ball(client, 1.0, 0.1, (side * 0.7, 0.2, 0), (-side * 20, 0, 0))
+    events = []
+    while not events and world.time < 1:
+        events = world.step()
+    assert len(asset.queries) == 1
+    assert len(asset.queries[0]) == 2
+
+
+def test_a_hit_below_the_smallest_that_breaks_makes_no_query(client):
+    floor(client)
+    world = fracsim.World(client)
+    asset = SlabBox(toughness=1e3)
+    world.add(asset, (0, 0, 0.3), tilted())
+    for _ in range(120):
+        assert world.step() == []
+    assert asset.queries == []
+
+
+def test_a_resting_body_is_asked_for_neither_contacts_nor_the_model(client, monkeypatch):
+    floor(client)
+    world = fracsim.World(client)
+    asset = SlabBox(toughness=1e9)
+    world.add(asset, (0, 0, 0.01))
+    for _ in range(240):
+        world.step()
+    object.__setattr__(asset, "toughness", 0.0)
+    asked = []
+    contacts = p.getContactPoints
+    monkeypatch.setattr(p, "getContactPoints", lambda *a, **k: asked.append(1) or contacts(*a, **k))
+    for _ in range(480):
+        assert world.step() == []
+    assert asset.queries == []
+    assert asked == []
+
+
+def test_a_still_body_notices_what_flies_at_it(client):
+    floor(client)
+    world = fracsim.World(client)
+    world.add(SlabBox(), (-0.5, -0.5, 0.002))
+    ball(client, 5.0, 0.1, (-3, 0, 0.5), (20, 0, 0))
+    events = []
+    while not events and world.time < 1:
+        events = world.step()
+    assert len(events) == 1
+
+
+def test_a_link_of_a_moving_arm_breaks_what_it_hits(client):
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.05, 0.05, 0.5), physicsClientId=client)
+    arm = p.createMultiBody(
+        0,
+        basePosition=(-1.0, 0.5, 0.5),
+        linkMasses=[3.0],
+        linkCollisionShapeIndices=[shape],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[(0, 0, 0)],
+        linkOrientations=[(0, 0, 0, 1)],
+        linkInertialFramePositions=[(0, 0, 0)],
+        linkInertialFrameOrientations=[(0, 0, 0, 1)],
+        linkParentIndices=[0],
+        linkJointTypes=[p.JOINT_PRISMATIC],
+        linkJointAxis=[(1, 0, 0)],
+        physicsClientId=client,
+    )
+    p.resetJointState(arm, 0, 0.0, 4.0, physicsClientId=client)
+    p.setJointMotorControl2(arm, 0, p.VELOCITY_CONTROL, targetVelocity=4.0, force=1e4, physicsClientId=client)
+    world = fracsim.World(client)
+    world.add(SlabBox())
+    hits = []
+    world.on_contact(hits.append)
+    events = []
+    while not events and world.time < 1:
+        events = world.step()
+    assert events
+    assert (hits[0].other, hits[0].other_link) == (arm, 0)
+    assert hits[0].closing_speed == pytest.approx(4.0, rel=0.05)
+
+
+# --- callbacks, and users who take bodies away
+
+
+def test_contact_callbacks_see_hits_until_they_are_unregistered(client):
+    floor(client)
+    world = fracsim.World(client)
+    body = world.add(SlabBox(toughness=1e9), (0, 0, 0.2), tilted())
+    hits = []
+    unregister = world.on_contact(hits.append)
+    for _ in range(240):
+        world.step()
+    assert hits
+    assert hits[0].body == body
+    assert hits[0].point.shape == hits[0].direction.shape == (3,)
+    seen = len(hits)
+    unregister()
+    p.resetBaseVelocity(body, (0, 0, 3), physicsClientId=client)
+    for _ in range(240):
+        world.step()
+    assert len(hits) == seen
+
+
+def test_a_callback_may_remove_the_body_before_it_breaks(client):
+    floor(client)
+    world = fracsim.World(client)
+    asset = SlabBox()
+    world.add(asset, (0, 0, 1), tilted())
+    world.on_contact(lambda hit: p.removeBody(hit.body, physicsClientId=client))
+    while world.bodies:
+        assert world.step() == []
+    assert asset.queries == []
+
+
+def test_a_body_removed_by_the_user_is_forgotten_even_if_its_id_lives_on(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox())
+    p.removeBody(body, physicsClientId=client)
+    assert ball(client, 1, 0.1, (0, 0, 0), (1, 0, 0)) == body
+    assert world.step() == []
+    assert world.bodies == ()
+    with pytest.raises(fracsim.PhysicsError, match="not in this world"):
+        world.fracture(body, HARD)
+
+
+def test_remove_takes_bodies_and_pieces_out_of_the_engine(client):
+    world = fracsim.World(client)
+    keep = world.add(SlabBox(), (5, 0, 0))
+    children = world.fracture(world.add(SlabBox()), HARD).children
+    for child in children:
+        world.remove(child)
+    assert world.pieces == ()
+    assert world.bodies == (keep,)
+    assert p.getNumBodies(physicsClientId=client) == 1
+
+
+def test_the_parent_id_is_not_handed_to_a_piece(client):
+    world = fracsim.World(client)
+    event = world.fracture(world.add(SlabBox()), HARD)
+    assert event.parent not in event.children
+
+
+def test_a_weak_impulse_on_command_leaves_the_body_whole(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox())
+    event = world.fracture(body, fracsim.Impulse((0, 0, 0), (1, 0, 0), 1e-3))
+    assert event.children == ()
+    assert len(event.fracture.pieces) == 1
+    assert world.bodies == (body,)
+
+
+# --- errors
+
+
+def test_a_client_that_is_not_connected_is_refused(client):
+    with pytest.raises(fracsim.PhysicsError, match="connect"):
+        fracsim.World(client + 7)
+    world = fracsim.World(client)
+    world.add(SlabBox())
+    p.disconnect(client)
+    with pytest.raises(fracsim.PhysicsError, match="not connected"):
+        world.step()
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"position": (0, 0)},
+        {"position": (0, 0, float("nan"))},
+        {"orientation": (0, 0, 0, 0)},
+        {"linear_velocity": (0, 0, float("inf"))},
+        {"scale": 0.0},
+        {"scale": float("nan")},
+    ],
+)
+def test_bad_placements_are_refused_and_leave_nothing_behind(client, bad):
+    world = fracsim.World(client)
+    with pytest.raises(fracsim.PhysicsError):
+        world.add(SlabBox(), **bad)
+    assert p.getNumBodies(physicsClientId=client) == 0
+
+
+def test_a_failing_model_raises_and_leaves_the_body_whole(client):
+    class Broken(SlabBox):
+        def fracture(self, impulses, predictor="field"):
+            raise fracsim.FieldError("not finite")
+
+    world = fracsim.World(client)
+    body = world.add(Broken())
+    with pytest.raises(fracsim.FieldError):
+        world.fracture(body, HARD)
+    assert world.bodies == (body,)
+
+
+# --- what a scene does not need
+
+
+def test_headless_worlds_show_nothing_and_visual_worlds_do(client):
+    def image():
+        view = p.computeViewMatrix((3, -3, 3), (0.5, 0.5, 0.5), (0, 0, 1))
+        projection = p.computeProjectionMatrixFOV(40, 1, 0.1, 20)
+        args = (64, 64, view, projection)
+        frame = p.getCameraImage(*args, renderer=p.ER_TINY_RENDERER, physicsClientId=client)
+        return np.reshape(frame[4], (64, 64))
+
+    headless = fracsim.World(client)
+    assert not headless.visuals
+    headless.fracture(headless.add(SlabBox()), HARD)
+    assert (image() < 0).all()
+    visible = fracsim.World(client, visuals=True)
+    visible.fracture(visible.add(SlabBox()), HARD)
+    assert (image() >= 0).mean() > 0.1
+
+
+def test_a_world_touches_no_engine_wide_parameter(client):
+    before = p.getPhysicsEngineParameters(physicsClientId=client)
+    world = fracsim.World(client)
+    world.fracture(world.add(SlabBox()), HARD)
+    assert p.getPhysicsEngineParameters(physicsClientId=client) == before
+
+
+def test_two_clients_do_not_mix(client):
+    other = p.connect(p.DIRECT)
+    try:
+        here, there = fracsim.World(client), fracsim.World(other)
+        here.fracture(here.add(SlabBox()), HARD)
+        there.add(SlabBox())
+        assert p.getNumBodies(physicsClientId=client) == 4
+        assert p.getNumBodies(physicsClientId=other) == 1
+    finally:
+        p.disconnect(other)
+
+
+def test_a_simulation_loads_nothing_that_only_baking_or_training_needs():
+    script = (
+        "import sys, pybullet as p, fracsim\n"
+        "world = fracsim.World(p.connect(p.DIRECT))\n"
+        "world.step()\n"
+        "heavy = {'torch', 'optuna', 'networkx', 'coacd', 'matplotlib', 'trimesh'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
