@@ -47,7 +47,7 @@ def main() -> None:
     for prior in (True, False):
         for steps in STEPS:
             options = TrainingOptions(prior=prior, steps=steps)
-            if not prior:  # at its own best rate, found on the same validation split
+            if not prior:  # free weights bear a larger rate, and there is no filter to favour
                 options = dataclasses.replace(options, rate=3e-3, filter_rate=1.0)
             model, figures = train_field(samples, geometry, surface.faces, interfaces, 0, options)
             scores = []

@@ -53,7 +53,7 @@ class BakeOptions:
 
     cells: int = 5000
     modes: int = 20
-    samples: int = 60000
+    samples: int = 50000
     eigenfunctions: int = 96
     crumb_floor: float = 1e-3
     evaluated: int = 1500
