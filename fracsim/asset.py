@@ -68,6 +68,61 @@ class AssetArrays:
     body_faces: IntArray
     body_sizes: IntArray
 
+    # What follows from them, worked out once and shared by all sizes and materials of an asset
+
+    @cached_property
+    def complex(self) -> AtomComplex:
+        return AtomComplex(self.points, self.triangles, self.sides)
+
+    @cached_property
+    def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.complex.moments()
+
+    @cached_property
+    def interfaces(self) -> Interfaces:
+        return Interfaces(self.pairs, self.areas, self.normals, self.projected)
+
+    @cached_property
+    def vertex_atom(self) -> IntArray:
+        """(V,) the atom of each vertex."""
+        result = np.full(len(self.points), -1)
+        outer = self.sides[:, 1] < 0
+        result[self.triangles[outer]] = self.sides[outer, :1]
+        return result[: len(self.rows)]
+
+    @cached_property
+    def crossings(self) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
+        """Shores, their own distances, the interfaces that have any, and the interfaces that bind inner atoms:
+        an atom that no curve borders follows the neighbour it shares most area with."""
+        reached = np.flatnonzero(self.shores[:, 0] >= 0)
+        shores = self.shores[reached]
+        own = np.take_along_axis(self.distances[reached].astype(np.float64), shores, axis=1)
+        inner = np.setdiff1d(np.arange(self.complex.count), self.pairs[reached])
+        bound = [
+            rows[np.argmax(self.areas[rows])]
+            for atom in inner.tolist()
+            if len(rows := np.flatnonzero((self.pairs == atom).any(axis=1)))
+        ]
+        return shores, own, reached, np.array(bound, dtype=np.int64)
+
+    @cached_property
+    def weakest(self) -> tuple[FloatArray, FloatArray]:
+        """(V,) severities below which no point of the faces around a vertex can be hit to any effect: by one
+        blow, nothing parts; by several, each counted as a share of its own, no interface even breaks."""
+        pairs = self.pairs
+        jump = np.abs(self.rows[:, pairs[:, 0]] - self.rows[:, pairs[:, 1]]).astype(np.float64)
+        # Between vertices the field is linear, so no jump there exceeds the largest around; and no direction
+        # drives an interface by more than the whole jump, as neither κ nor β exceeds 1.
+        start, end = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]).T
+        order = np.argsort(start, kind="stable")  # a closed surface runs along every edge in both directions
+        first = np.searchsorted(start[order], np.arange(len(jump)))
+        jump = np.maximum(jump, np.maximum.reduceat(jump[end[order]], first))
+        return 1.0 / weakest_cut(jump, pairs, self.complex.count), 1.0 / jump.max(axis=1)
+
+    @cached_property
+    def face_tree(self) -> cKDTree:
+        return cKDTree(self.points[self.faces].mean(axis=1))
+
 
 @dataclass(frozen=True, eq=False)
 class Fracture:
@@ -134,7 +189,7 @@ class BreakableAsset:
     @property
     def volume(self) -> float:
         """m³."""
-        return float(self._moments[0].sum()) * self.scale**3
+        return float(self.arrays.moments[0].sum()) * self.scale**3
 
     @property
     def mass(self) -> float:
@@ -144,12 +199,12 @@ class BreakableAsset:
     @property
     def center_of_mass(self) -> FloatArray:
         """(3,) m."""
-        return np.asarray(self._moments[1].sum(axis=0) / self._moments[0].sum() * self.scale + self.offset)
+        return np.asarray(self.arrays.moments[1].sum(axis=0) / self.arrays.moments[0].sum() * self.scale + self.offset)
 
     @property
     def inertia(self) -> FloatArray:
         """(3, 3) kg·m² about the centre of mass, along the asset's axes."""
-        return self._mass_properties(np.arange(len(self._moments[0])))[3]
+        return self._mass_properties(np.arange(len(self.arrays.moments[0])))[3]
 
     @cached_property
     def hulls(self) -> tuple[Hull, ...]:
@@ -159,8 +214,8 @@ class BreakableAsset:
 
     @cached_property
     def breaking_impulse(self) -> FloatArray:
-        """(V,) N·s: no single impulse below it at that vertex breaks anything, whatever its direction."""
-        return self._unit_breaking[0] * self.mass * self.material.breaking_velocity
+        """(V,) N·s: no single impulse below it on the faces around that vertex breaks anything, whichever way."""
+        return self.arrays.weakest[0] * self.mass * self.material.breaking_velocity
 
     def scaled(self, scale: float) -> BreakableAsset:
         """The same object, ``scale`` times as large; arrays are shared."""
@@ -177,11 +232,15 @@ class BreakableAsset:
     def may_break(self, impulses: Impulse | Sequence[Impulse]) -> bool:
         """False when these impulses together are surely too weak; costs no model query."""
         impulses = as_impulses(impulses)
-        _, nearest = self._vertex_tree.query([impulse.point for impulse in impulses])
-        # A point between vertices lies below the least of those around it, which all neighbour the nearest.
-        bound = self._around_breaking[0 if len(impulses) == 1 else 1][nearest]
+        corners, barycentric = self._locate(np.array([impulse.point for impulse in impulses]))
         unit = self.mass * self.material.breaking_velocity
-        return bool(sum(impulse.magnitude / unit / b for impulse, b in zip(impulses, bound, strict=True)) >= 1.0)
+        severities = np.array([impulse.magnitude for impulse in impulses]) / unit
+        return self._may_break(corners, barycentric, severities)
+
+    def _may_break(self, corners: IntArray, barycentric: FloatArray, severities: FloatArray) -> bool:
+        nearest = corners[np.arange(len(corners)), np.argmax(barycentric, axis=1)]
+        bound = self.arrays.weakest[0 if len(corners) == 1 else 1][nearest]
+        return float((severities / bound).sum()) >= 1.0
 
     def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
         """What one impulse, or several acting together, do to the unbroken asset.
@@ -207,18 +266,18 @@ class BreakableAsset:
         begin = time.perf_counter()
         if predictor == "modes":
             rows = np.einsum("kc,kca->ka", barycentric, self.arrays.rows[corners])
-            drive = drives(rows[None], directions[None], severities[None], self._interfaces)
-            labels = components(drive < 1.0, self.arrays.pairs, self._complex.count)[0]
-            labels = absorb_crumbs(labels, self._moments[0], self._interfaces, self.crumb_floor)
+            drive = drives(rows[None], directions[None], severities[None], self.arrays.interfaces)
+            labels = components(drive < 1.0, self.arrays.pairs, self.arrays.complex.count)[0]
+            labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
             cracks = labels[self.arrays.pairs[:, 0]] != labels[self.arrays.pairs[:, 1]]
             field = field_from_scores(cracks.astype(np.float64), self.arrays.distances, self.cap)
             timings["field"] = _ms(begin)
             return self._finish(labels, field, timings, predictor, severity, clamped)
-        if not self.may_break(impulses):
+        if not self._may_break(corners, barycentric, severities):
             field = np.full(self.vertex_count, self.cap)
         else:
             scores = self.model.scores(corners, barycentric, directions, severities)
-            scores = parting_scores(scores, self.arrays.pairs, self._complex.count)
+            scores = parting_scores(scores, self.arrays.pairs, self.arrays.complex.count)
             field = field_from_scores(scores, self.arrays.distances, self.cap)
         timings["field"] = _ms(begin)
         return self._cut(field, timings, predictor, severity, clamped)
@@ -239,8 +298,8 @@ class BreakableAsset:
         directions = cone(-pool.normals[face], CONE, rng)
         ratio = np.exp(rng.uniform(np.log(SEVERITY[0]), np.log(SEVERITY[1]), count))
         rows = pool.rows(self.arrays.rows, face[:, None], barycentric[:, None])
-        drive = drives(rows, directions[:, None], np.ones((count, 1)), self._interfaces)
-        severity = ratio / weakest_cut(drive, self.arrays.pairs, self._complex.count)
+        drive = drives(rows, directions[:, None], np.ones((count, 1)), self.arrays.interfaces)
+        severity = ratio / weakest_cut(drive, self.arrays.pairs, self.arrays.complex.count)
         magnitude = severity * self.mass * self.material.breaking_velocity
         points = pool.at(face, barycentric) * self.scale + self.offset
         return [Impulse(*blow) for blow in zip(points, directions, magnitude, strict=True)]
@@ -250,7 +309,7 @@ class BreakableAsset:
     def _locate(self, points: FloatArray) -> tuple[IntArray, FloatArray]:
         """The surface points nearest to ``points`` (K, 3) m, as vertices (K, 3) and barycentric coordinates."""
         local = (points - self.offset) / self.scale
-        _, nearest = self._face_tree.query(local, k=min(16, len(self.faces)))
+        _, nearest = self.arrays.face_tree.query(local, k=min(16, len(self.faces)))
         corner = self.arrays.points[self.faces[nearest]]  # (K, 16, 3, 3)
         barycentric, square = _closest_on_triangles(local[:, None], corner)
         best = np.argmin(square, axis=1)
@@ -264,15 +323,15 @@ class BreakableAsset:
             raise FieldError(f"{self.name}: the field holds values that are not finite; no fracture follows from it")
         begin = time.perf_counter()
         arrays = self.arrays
-        shores, own, reached, bound = self._shores
+        shores, own, reached, bound = self.arrays.crossings
         joined = np.zeros(len(arrays.pairs), dtype=bool)
         joined[reached] = flooded_passes(field, shores, own, PASS_HEIGHT)
         joined[bound] = True
         pairs = arrays.pairs[joined]
-        count = self._complex.count
+        count = self.arrays.complex.count
         graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
         labels = connected_components(graph, directed=False)[1].astype(np.int64)
-        labels = absorb_crumbs(labels, self._moments[0], self._interfaces, self.crumb_floor)
+        labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
         timings["segmentation"] = _ms(begin)
         return self._finish(labels, field, timings, predictor, severity, clamped)
 
@@ -290,7 +349,7 @@ class BreakableAsset:
         groups = np.split(order, np.cumsum(np.bincount(labels))[:-1])
         pieces = tuple(self._piece(group, labels, k) for k, group in enumerate(groups))
         timings["pieces"] = _ms(begin)
-        vertex_labels = labels[self.vertex_atom]
+        vertex_labels = labels[self.arrays.vertex_atom]
         return Fracture(vertex_labels, field * self.scale, pieces, timings, predictor, severity, clamped)
 
     def _piece(self, atoms: IntArray, labels: IntArray, index: int) -> Piece:
@@ -298,14 +357,14 @@ class BreakableAsset:
         hulls = tuple(hull for atom in atoms.tolist() for hull in self._atom_hulls[atom])
 
         def surface() -> tuple[FloatArray, IntArray, npt.NDArray[np.bool_]]:
-            vertices, faces, outer = self._complex.surface(labels == index)
+            vertices, faces, outer = self.arrays.complex.surface(labels == index)
             return vertices * self.scale + self.offset, faces, outer
 
         return Piece(volume, mass, center, inertia, hulls, atoms, surface)
 
     def _mass_properties(self, atoms: IntArray) -> tuple[float, float, FloatArray, FloatArray]:
         """Volume, mass, centre of mass and inertia about it of some atoms together."""
-        zeroth, first, second = (moment[atoms].sum(axis=0) for moment in self._moments)
+        zeroth, first, second = (moment[atoms].sum(axis=0) for moment in self.arrays.moments)
         center = first / zeroth
         spread = second - zeroth * np.outer(center, center)
         volume = float(zeroth) * self.scale**3
@@ -320,79 +379,12 @@ class BreakableAsset:
 
     @cached_property
     def _atom_hulls(self) -> list[list[Hull]]:
-        result: list[list[Hull]] = [[] for _ in range(self._complex.count)]
+        result: list[list[Hull]] = [[] for _ in range(self.arrays.complex.count)]
         arrays = self.arrays
         hulls = self._hulls(arrays.hull_points, arrays.hull_faces, arrays.hull_sizes)
         for atom, hull in zip(self.arrays.hull_atoms.tolist(), hulls, strict=True):
             result[atom].append(hull)
         return result
-
-    @cached_property
-    def _complex(self) -> AtomComplex:
-        return AtomComplex(self.arrays.points, self.arrays.triangles, self.arrays.sides)
-
-    @cached_property
-    def _moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return self._complex.moments()
-
-    @cached_property
-    def _interfaces(self) -> Interfaces:
-        arrays = self.arrays
-        return Interfaces(arrays.pairs, arrays.areas, arrays.normals, arrays.projected)
-
-    @cached_property
-    def vertex_atom(self) -> IntArray:
-        """(V,) the atom of each vertex."""
-        result = np.full(len(self.arrays.points), -1)
-        outer = self.arrays.sides[:, 1] < 0
-        result[self.arrays.triangles[outer]] = self.arrays.sides[outer, :1]
-        return result[: self.vertex_count]
-
-    @cached_property
-    def _shores(self) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
-        """Shores, their own distances, the interfaces that have any, and the interfaces that bind inner atoms:
-        an atom that no curve borders follows the neighbour it shares most area with."""
-        arrays = self.arrays
-        reached = np.flatnonzero(arrays.shores[:, 0] >= 0)
-        shores = arrays.shores[reached]
-        own = np.take_along_axis(arrays.distances[reached].astype(np.float64), shores, axis=1)
-        inner = np.setdiff1d(np.arange(self._complex.count), arrays.pairs[reached])
-        bound = [
-            rows[np.argmax(arrays.areas[rows])]
-            for atom in inner.tolist()
-            if len(rows := np.flatnonzero((arrays.pairs == atom).any(axis=1)))
-        ]
-        return shores, own, reached, np.array(bound, dtype=np.int64)
-
-    @cached_property
-    def _unit_breaking(self) -> tuple[FloatArray, FloatArray]:
-        """(V,) severities below which one blow parts nothing, and several do not even break an interface."""
-        pairs = self.arrays.pairs
-        jump = np.abs(self.arrays.rows[:, pairs[:, 0]] - self.arrays.rows[:, pairs[:, 1]]).astype(np.float64)
-        if len(pairs) == 0:
-            return np.full(self.vertex_count, np.inf), np.full(self.vertex_count, np.inf)
-        # No direction drives an interface by more than the whole jump, as neither κ nor β exceeds 1.
-        return 1.0 / weakest_cut(jump, pairs, self._complex.count), 1.0 / jump.max(axis=1)
-
-    @cached_property
-    def _around_breaking(self) -> tuple[FloatArray, FloatArray]:
-        """The same, the least over each vertex and its neighbours."""
-        start, end = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]).T
-        result = []
-        for values in self._unit_breaking:
-            least = values.copy()
-            np.minimum.at(least, start, values[end])
-            np.minimum.at(least, end, values[start])
-            result.append(least)
-        return result[0], result[1]
-
-    @cached_property
-    def _face_tree(self) -> cKDTree:
-        return cKDTree(self.arrays.points[self.faces].mean(axis=1))
-
-    @cached_property
-    def _vertex_tree(self) -> cKDTree:
-        return cKDTree(self.vertices)
 
     # The file
 
@@ -400,7 +392,7 @@ class BreakableAsset:
         """Write the asset, beside and then over ``path``, so that no half of a file is ever there."""
         from safetensors.numpy import save
 
-        tensors = {f"asset.{name}": _compact(value) for name, value in vars(self.arrays).items()}
+        tensors = {f"asset.{name}": _compact(getattr(self.arrays, name)) for name in AssetArrays.__dataclass_fields__}
         tensors |= {f"model.{name}": np.ascontiguousarray(value) for name, value in vars(self.model).items()}
         header = {
             "format": FORMAT,

@@ -206,7 +206,7 @@ def evaluate_asset(
     nearest = _Nearest(train, asset, weights).labels(test)
     points = SurfacePoints(asset.vertices, asset.faces)
     unit = asset.mass * asset.material.breaking_velocity
-    vertex_atom, pairs, distances = asset.vertex_atom, asset.arrays.pairs, asset.arrays.distances
+    vertex_atom, pairs, distances = asset.arrays.vertex_atom, asset.arrays.pairs, asset.arrays.distances
     count = min(most, len(test))
     rows: list[tuple[float, ...]] = []
     broke = np.zeros((count, 3), dtype=bool)  # truly, predicted, nearest
@@ -280,10 +280,10 @@ class _Nearest:
 def _nearest_weights(train: Samples, validation: Samples, asset: BreakableAsset) -> tuple[float, float]:
     """The baseline deserves its best: position and severity weights chosen on validation impulses."""
     rows = np.flatnonzero(validation.labels.any(axis=1))[:300]
-    truth = validation.labels[rows][:, asset.vertex_atom]
+    truth = validation.labels[rows][:, asset.arrays.vertex_atom]
     best, score = (1.0, 1.0), -np.inf
     for weights in itertools.product((2.0, 4.0, 8.0), (0.3, 0.7, 1.5)):
-        guess = _Nearest(train, asset, weights).labels(validation)[rows][:, asset.vertex_atom]
+        guess = _Nearest(train, asset, weights).labels(validation)[rows][:, asset.arrays.vertex_atom]
         mean = float(np.mean([ari(a, b) for a, b in zip(truth, guess, strict=True)]))
         if mean > score:
             best, score = weights, mean

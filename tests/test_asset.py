@@ -142,9 +142,17 @@ def test_an_impulse_below_the_breaking_impulse_breaks_nothing_and_costs_no_query
 
 
 def test_the_gate_never_holds_back_an_impulse_that_the_generator_breaks(shipped):
-    for impulse in shipped.sample_impulses(200, 5):
-        if shipped.fracture(impulse, "modes").broken:
-            assert shipped.may_break(impulse)
+    blows = shipped.sample_impulses(400, 5)
+    for impulses in [[blow] for blow in blows[:200]] + [blows[k : k + 3] for k in range(200, 398, 3)]:
+        weak = [fracsim.Impulse(blow.point, blow.direction, 0.5 * blow.magnitude) for blow in impulses]
+        for together in (impulses, weak):
+            if shipped.fracture(together, "modes").broken:
+                assert shipped.may_break(together)
+
+
+def test_copies_of_another_size_share_what_was_worked_out_once(shipped):
+    shipped.fracture(shipped.sample_impulses(1, 0)[0])
+    assert shipped.scaled(0.3).with_material("ice").arrays is shipped.arrays
 
 
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
