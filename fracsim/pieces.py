@@ -103,37 +103,38 @@ def _part_pinches(points: FloatArray, faces: IntArray, skin: BoolArray) -> tuple
     Atoms of one piece may meet along an edge only, which then has four faces. Each of its two wedges gets a
     point of its own on that edge, at different places, so that they share no edge and no shape changes.
     """
-    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    key = np.minimum(start, end) * len(points) + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    ordered = key[order]
-    third = np.flatnonzero(ordered[2:] == ordered[:-2])
-    if len(third) == 0:
-        return points, faces, skin
-    # One triangle may have two pinched edges; do one a face at a time until none is left.
-    halves = order[ordered == ordered[third[0]]]
-    low, high = divmod(int(ordered[third[0]]), len(points))
-    axis = points[high] - points[low]
-    rows = halves // 3
-    tips = faces[rows, (halves + 2) % 3]
-    arms = points[tips] - points[low]
-    arms -= np.outer(arms @ axis, axis) / (axis @ axis)
-    arms /= np.linalg.norm(arms, axis=1)[:, None]
-    side = np.cross(axis, arms[0]) / np.linalg.norm(axis)
-    angle = np.arctan2(arms @ side, arms @ arms[0]) % (2 * np.pi)
-    forward = start[halves] == low
-    new_points, new_faces, new_skin = [points], [np.delete(faces, rows, axis=0)], [np.delete(skin, rows)]
-    count = len(points)
-    # Seen along the axis from low to high, a face that runs forward has the solid clockwise of it; its wedge
-    # ends at the first backward face that way.
-    free = set(np.flatnonzero(~forward).tolist())
-    for k in np.flatnonzero(forward).tolist():
-        mate = min(free, key=lambda j: (angle[k] - angle[j]) % (2 * np.pi))
-        free.discard(mate)
-        new_points.append((points[low] + axis * (len(new_points) / (len(halves) // 2 + 1)))[None])
-        for j in (k, mate):
-            a, b, c = start[halves[j]], end[halves[j]], tips[j]
-            new_faces.append(np.array([[a, count, c], [count, b, c]]))
-            new_skin.append(np.repeat(skin[rows[j]], 2))
-        count += 1
-    return _part_pinches(np.vstack(new_points), np.vstack(new_faces), np.concatenate(new_skin))
+    while True:
+        start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+        key = np.minimum(start, end) * len(points) + np.maximum(start, end)
+        order = np.argsort(key, kind="stable")
+        ordered = key[order]
+        third = np.flatnonzero(ordered[2:] == ordered[:-2])
+        if len(third) == 0:
+            return points, faces, skin
+        # A triangle may have two pinched edges, so they are mended one after the other.
+        halves = order[ordered == ordered[third[0]]]
+        low, high = divmod(int(ordered[third[0]]), len(points))
+        axis = points[high] - points[low]
+        rows = halves // 3
+        tips = faces[rows, (halves + 2) % 3]
+        arms = points[tips] - points[low]
+        arms -= np.outer(arms @ axis, axis) / (axis @ axis)
+        arms /= np.linalg.norm(arms, axis=1)[:, None]
+        side = np.cross(axis, arms[0]) / np.linalg.norm(axis)
+        angle = np.arctan2(arms @ side, arms @ arms[0]) % (2 * np.pi)
+        forward = start[halves] == low
+        new_points, new_faces, new_skin = [points], [np.delete(faces, rows, axis=0)], [np.delete(skin, rows)]
+        count = len(points)
+        # Seen along the axis from low to high, a face that runs forward has the solid clockwise of it; its wedge
+        # ends at the first backward face that way.
+        free = set(np.flatnonzero(~forward).tolist())
+        for k in np.flatnonzero(forward).tolist():
+            mate = min(free, key=lambda j: (angle[k] - angle[j]) % (2 * np.pi))
+            free.discard(mate)
+            new_points.append((points[low] + axis * (len(new_points) / (len(halves) // 2 + 1)))[None])
+            for j in (k, mate):
+                a, b, c = start[halves[j]], end[halves[j]], tips[j]
+                new_faces.append(np.array([[a, count, c], [count, b, c]]))
+                new_skin.append(np.repeat(skin[rows[j]], 2))
+            count += 1
+        points, faces, skin = np.vstack(new_points), np.vstack(new_faces), np.concatenate(new_skin)
