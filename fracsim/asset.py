@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import resources
@@ -478,7 +478,36 @@ def _parse(data: bytes, where: str) -> BreakableAsset:
     for name, value in tensors.items():
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             raise AssetError(f"{where}: {name} holds values that are not finite; {again}")
+    for fault in _contradictions(asset.arrays, asset.model):
+        raise AssetError(f"{where}: {fault}; {again}")
     return asset
+
+
+def _contradictions(arrays: AssetArrays, model: FieldModel) -> Iterator[str]:
+    """What cannot be, so that no later question trips over it: indices out of range, sizes that do not agree."""
+    vertices, atoms, interfaces = *arrays.rows.shape, len(arrays.pairs)
+    for name, limit in (
+        ("faces", vertices),
+        ("triangles", len(arrays.points)),
+        ("sides", atoms),
+        ("pairs", atoms),
+        ("shores", vertices),
+        ("hull_atoms", atoms),
+    ):
+        values = getattr(arrays, name)
+        lowest = -1 if name in ("sides", "shores") else 0
+        if values.size and not (lowest <= values.min() and values.max() < limit):
+            yield f"{name} points outside its range"
+    if vertices > len(arrays.points) or len(model.coordinates) != vertices:
+        yield "the numbers of vertices do not agree"
+    if not interfaces == len(arrays.distances) == len(arrays.shores) == len(arrays.normals) == len(model.slope):
+        yield "the numbers of interfaces do not agree"
+    if arrays.distances.shape != (interfaces, vertices):
+        yield "the distances do not fit the vertices"
+    for kind in ("hull", "body"):
+        points, faces, sizes = (getattr(arrays, f"{kind}_{what}") for what in ("points", "faces", "sizes"))
+        if not np.array_equal(sizes.sum(axis=0), (len(points), len(faces))):
+            yield "the convex parts are not of the sizes stated"
 
 
 def _compact(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -215,6 +217,33 @@ def test_a_truncated_asset_is_refused_by_name(shipped, tmp_path, length):
     shipped.save(path)
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(fracsim.AssetError, match=r"half\.frac"):
+        fracsim.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "fault"),
+    [
+        ("asset.pairs", lambda x: x + 1000, "pairs points outside"),
+        ("asset.distances", lambda x: x[:, :-1].copy(), "distances do not fit"),
+        ("asset.hull_sizes", lambda x: x[:-1].copy(), "convex parts"),
+        ("asset.rows", lambda x: x * np.float32(np.nan), "not finite"),
+        ("model.coordinates", lambda x: x[:-1].copy(), "vertices do not agree"),
+        ("model.skip", lambda x: None, "missing or malformed"),
+    ],
+)
+def test_an_asset_that_contradicts_itself_is_refused(tmp_path, name, change, fault):
+    from safetensors.numpy import load_file, save_file
+
+    path = tmp_path / "bent.frac"
+    asset = fracsim.load("chair")
+    asset.save(path)
+    header = json.loads(path.read_bytes()[8 : 8 + int.from_bytes(path.read_bytes()[:8], "little")])["__metadata__"]
+    tensors = load_file(path)
+    changed = change(tensors.pop(name))
+    if changed is not None:
+        tensors[name] = changed
+    save_file(tensors, path, metadata=header)
+    with pytest.raises(fracsim.AssetError, match=rf"bent\.frac: .*{fault}"):
         fracsim.load(path)
 
 
