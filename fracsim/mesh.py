@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,12 @@ import numpy.typing as npt
 from .errors import MeshError, MissingExtraError
 
 try:
+    import manifold3d
     import trimesh
 except ImportError as error:
-    raise MissingExtraError("trimesh", "bake") from error
+    raise MissingExtraError(str(error.name), "bake") from error
+
+LONGEST = 0.08  # of the largest extent: edges longer than that are split before baking
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -56,6 +59,23 @@ def read_surface(source: str | Path | trimesh.Trimesh) -> Surface:
     except Exception as error:  # trimesh raises whatever its readers raise
         raise MeshError(f"{path}: cannot be read as a mesh ({type(error).__name__}: {error})") from error
     return _check(mesh, str(path))
+
+
+def refine(surface: Surface, longest: float = LONGEST) -> Surface:
+    """The same surface with no edge longer than ``longest``, as given where it has none.
+
+    A field has its values at vertices, so faces larger than the pieces that break off leave it blind. New
+    vertices lie on the old edges and faces, conformingly; the shape does not change.
+    """
+    edges = surface.vertices[surface.faces] - surface.vertices[np.roll(surface.faces, -1, axis=1)]
+    if np.linalg.norm(edges, axis=2).max() <= longest:
+        return surface
+    solid = manifold3d.Manifold(manifold3d.Mesh64(surface.vertices, surface.faces.astype(np.uint64)))
+    if solid.status() != manifold3d.Error.NoError:
+        raise MeshError(f"{surface.name}: not a manifold ({solid.status().name}); repair it before baking")
+    fine = solid.refine_to_length(longest).to_mesh64()
+    vertices = np.ascontiguousarray(np.asarray(fine.vert_properties)[:, :3])
+    return replace(surface, vertices=vertices, faces=np.asarray(fine.tri_verts).astype(np.int64))
 
 
 def _check(mesh: trimesh.Trimesh, name: str) -> Surface:

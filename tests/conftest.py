@@ -23,7 +23,7 @@ def shipped(request):
 @pytest.fixture(scope="session")
 def slab_mesh():
     """A closed box of 0.4 x 0.2 x 0.1 m, off the origin, with faces small enough to hold a field."""
-    mesh = trimesh.creation.box((0.4, 0.2, 0.1)).subdivide().subdivide().subdivide()
+    mesh = trimesh.creation.box((0.4, 0.2, 0.1)).subdivide().subdivide().subdivide().subdivide()
     mesh.apply_translation((1.0, -2.0, 0.5))
     return mesh
 
