@@ -60,6 +60,14 @@ class BakeOptions:
     workers: int = 2
     training: TrainingOptions = field(default_factory=TrainingOptions)
 
+    def __post_init__(self) -> None:
+        least = {"cells": 50, "modes": 0, "samples": 500, "eigenfunctions": 1, "evaluated": 50, "workers": 1}
+        for name, value in least.items():
+            if getattr(self, name) < value:
+                raise BakeError(f"{name} must be at least {value}, got {getattr(self, name)}")
+        if self.training.steps < 1:
+            raise BakeError(f"training steps must be at least 1, got {self.training.steps}")
+
 
 def bake(
     source: str | Path | trimesh.Trimesh,

@@ -53,6 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for path in (options.json, getattr(options, "out", None)):
             if path is not None and not path.absolute().parent.is_dir():
                 raise AssetError(f"{path}: the folder {path.parent} does not exist; create it first")
+        for path in (options.json, options.out if options.command == "bake" else None):
+            if path is not None and path.is_dir():
+                raise AssetError(f"{path}: is a folder; name a file in it")
         figures = options.run(options)
         if options.json is not None:
             from .asset import write_beside

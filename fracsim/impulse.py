@@ -30,7 +30,7 @@ def _vector(value: object, name: str) -> FloatArray:
 class Impulse:
     """An impulse on an asset, in the asset's own frame.
 
-    point: (3,) m, where it acts; a query uses the nearest surface vertex.
+    point: (3,) m, where it acts; a query uses the nearest point of the surface.
     direction: (3,), the way the body is pushed; normalised here.
     magnitude: N·s, at least 0.
 
@@ -43,10 +43,11 @@ class Impulse:
 
     def __post_init__(self) -> None:
         direction = _vector(self.direction, "direction")
-        length = float(np.linalg.norm(direction))
-        if length == 0.0:
+        largest = float(np.abs(direction).max())
+        if largest == 0.0:
             raise ImpulseError("impulse direction is zero; give the way the body is pushed")
-        direction = direction / length
+        direction = direction / largest  # first, so that the norm neither overflows nor vanishes
+        direction = direction / np.linalg.norm(direction)
         direction.setflags(write=False)
         try:
             magnitude = float(self.magnitude)

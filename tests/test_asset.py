@@ -259,6 +259,11 @@ def test_other_faults_of_asset_files_name_the_file_and_the_way_out(tmp_path):
         fracsim.load(tmp_path / "other.frac")
 
 
+def test_a_direction_of_any_length_is_normalised():
+    for length in (1e-200, 1.0, 1e200):
+        np.testing.assert_array_equal(fracsim.Impulse((0, 0, 0), (0, -length, 0), 1.0).direction, (0, -1, 0))
+
+
 def test_bad_questions_are_typed_errors(shipped):
     impulse = shipped.sample_impulses(1, 0)[0]
     with pytest.raises(fracsim.FracsimError, match="unknown predictor 'tarot'"):

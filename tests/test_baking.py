@@ -142,6 +142,16 @@ def test_a_missing_mesh_a_missing_folder_and_a_wrong_material_end_with_code_2(tm
     assert [entry.name for entry in tmp_path.iterdir()] == ["box.obj"]
 
 
+def test_options_that_cannot_work_and_a_folder_for_a_file_are_refused_before_the_work(tmp_path, capsys):
+    mesh = tmp_path / "box.obj"
+    write(mesh, *box())
+    for option, value in (("--steps", "0"), ("--cells", "0"), ("--modes", "-1"), ("--samples", "5")):
+        assert main(["bake", str(mesh), option, value, "--out", str(tmp_path / "b.frac")]) == 2
+        assert "must be at least" in capsys.readouterr().err
+    assert main(["bake", str(mesh), "--out", str(tmp_path)]) == 2
+    assert "is a folder" in capsys.readouterr().err
+
+
 def test_an_interrupted_bake_leaves_no_file(tmp_path, monkeypatch, capsys):
     mesh = tmp_path / "box.obj"
     write(mesh, *box())

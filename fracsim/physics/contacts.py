@@ -133,7 +133,9 @@ def _speeds(part: Rigid, motion: Motion, fall: FloatArray, points: FloatArray, n
 def _response(part: Rigid, points: FloatArray, normals: FloatArray) -> FloatArray:
     """(n, 6) rows g with g_i · g_k the speed at contact i from a unit impulse at contact k."""
     spin = np.cross(points - part.center, normals) @ part.rotation
-    return np.hstack([normals / np.sqrt(part.mass), spin / np.sqrt(part.moments)])
+    # An inertia of zero is the engine's way to say that a body does not turn about that axis.
+    turns = np.divide(1.0, np.sqrt(part.moments), out=np.zeros(3), where=part.moments > 0.0)
+    return np.hstack([normals / np.sqrt(part.mass), spin * turns])
 
 
 def _rewound(part: Rigid, motion: Motion, dt: float) -> Rigid:
