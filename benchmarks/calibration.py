@@ -17,11 +17,10 @@ import manifold3d
 import numpy as np
 import trimesh
 
-from fracsim.breaking import Interfaces, components, drives, weakest_cut
-from fracsim.fracture_modes import atoms, fracture_modes, impact_field
+from fracsim.breaking import components, drives, weakest_cut
+from fracsim.generator import modal_generator
 from fracsim.material import GAUGE, PRESETS
 from fracsim.mesh import read_surface
-from fracsim.solid import cut_lattice, relabel, shared_faces
 
 RESULTS = Path(__file__).parent / "results"
 MESHES = Path(__file__).parent.parent / "meshes"
@@ -45,12 +44,9 @@ def mug() -> trimesh.Trimesh:
 def critical_speeds(mesh: trimesh.Trimesh, restitution: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Per fall, the landing speeds that chip and that break the mesh, over GAUGE times the critical velocity."""
     surface = read_surface(mesh)
-    cells = cut_lattice(surface, 5000, np.random.default_rng(0))
-    label = atoms(cells, fracture_modes(cells, 20))
-    solid = relabel(cells, label)
-    pairs, areas, vectors = shared_faces(solid.triangles, solid.sides, solid.points)
-    projected = np.linalg.norm(vectors, axis=1)
-    interfaces = Interfaces(pairs, areas, vectors / projected[:, None], projected)
+    generator = modal_generator(surface, np.random.default_rng(0))
+    interfaces, volumes = generator.interfaces, generator.parts.volumes
+    pairs = interfaces.pairs
     body = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     inverse = np.linalg.inv(body.moment_inertia / body.volume)  # per unit mass
     rng = np.random.default_rng(1)
@@ -59,16 +55,16 @@ def critical_speeds(mesh: trimesh.Trimesh, restitution: float = 0.1) -> tuple[np
     lowest = np.argmin(up @ surface.vertices.T, axis=1)
     arm = np.cross(surface.vertices[lowest] - body.center_mass, up)
     effective = 1.0 / (1.0 + np.einsum("ni,ij,nj->n", arm, inverse, arm))  # of the mass
-    rows = impact_field(cells, label, surface.vertices)[lowest]
+    rows = generator.rows[lowest]
     drive = drives(rows[:, None], up[:, None], ((1 + restitution) * effective)[:, None], interfaces)
-    chip = 1.0 / weakest_cut(drive, pairs, len(solid.volumes))
+    chip = 1.0 / weakest_cut(drive, pairs, len(volumes))
     # Damage only ever grows with speed, so bisect for where the largest piece falls below INTACT.
     low, high = chip, np.full_like(chip, 1.0 / drive.min())
     for _ in range(30):
         middle = np.sqrt(low * high)
-        label = components(drive * middle[:, None] < 1.0, pairs, len(solid.volumes))
+        label = components(drive * middle[:, None] < 1.0, pairs, len(volumes))
         share = np.zeros(label.shape)
-        np.add.at(share, (np.arange(FALLS)[:, None], label), solid.volumes / solid.volumes.sum())
+        np.add.at(share, (np.arange(FALLS)[:, None], label), volumes / volumes.sum())
         broken = share.max(axis=1) <= INTACT
         low, high = np.where(broken, low, middle), np.where(broken, middle, high)
     return chip, high

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fracsim.breaking import Interfaces, components
-from fracsim.dataset import Generator, sample
-from fracsim.fracture_modes import atoms, fracture_modes, impact_field
+from fracsim.breaking import components
+from fracsim.dataset import sample
+from fracsim.generator import modal_generator
 from fracsim.mesh import read_surface
 from fracsim.metrics import ari
-from fracsim.solid import coarsen, cut_lattice, relabel, shared_faces
+from fracsim.solid import surface_parts
 from fracsim.spectrum import spectrum
 from fracsim.train import TrainingOptions, train_field
 
@@ -28,19 +28,11 @@ STEPS = (500, 1500, 4500)
 
 def main() -> None:
     surface = read_surface(HERE.parent / "meshes" / "bunny.obj")
-    cells = cut_lattice(surface, 5000, np.random.default_rng(0))
-    atom = atoms(cells, fracture_modes(cells, 20))
-    solid = coarsen(relabel(cells, atom), surface)
-    pairs, areas, vectors = shared_faces(solid.triangles, solid.sides, solid.points)
-    projected = np.linalg.norm(vectors, axis=1)
-    interfaces = Interfaces(pairs, areas, vectors / projected[:, None], projected)
-    rows = impact_field(cells, atom, surface.vertices)
-    samples = sample(Generator(surface, rows, interfaces, solid.volumes, 1e-3), 40000, np.random.default_rng(1))
-    geometry = spectrum(cells, atom, surface, 96)
-    owner = np.zeros(len(solid.points), dtype=np.int64)
-    outer = solid.source >= 0
-    owner[solid.triangles[outer]] = solid.sides[outer, :1]
-    owner = owner[: len(surface.vertices)]
+    generator = modal_generator(surface, np.random.default_rng(0))
+    interfaces = generator.interfaces
+    samples = sample(generator, 40000, 1)
+    geometry = spectrum(generator.cells, generator.atom, surface, 96)
+    owner = surface_parts(generator.parts, len(surface.vertices))
     held_out = samples.part(1)
 
     results = []
@@ -61,7 +53,7 @@ def main() -> None:
                         held_out.severities[k, there],
                     )
                 )
-            label = components(np.array(scores) < 0.5, pairs, len(solid.volumes))
+            label = components(np.array(scores) < 0.5, interfaces.pairs, len(generator.parts.volumes))
             breaking = np.flatnonzero(held_out.labels.any(axis=1))
             score = float(np.mean([ari(held_out.labels[k][owner], label[k][owner]) for k in breaking]))
             results.append({"prior": prior, "steps": steps, "ari": score, **figures})

@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -124,6 +124,18 @@ class AssetArrays:
         return cKDTree(self.points[self.faces].mean(axis=1))
 
 
+@dataclass(frozen=True)
+class Truth:
+    """What the asset was baked from. kind: "modal", whose impact field the asset carries and can answer from; any
+    other is known by its samples alone. least: total severity below which none of these broke, halved to be safe.
+    typical: the median one at which a single blow first parts the body.
+    """
+
+    kind: str = "modal"
+    least: float = 0.0
+    typical: float = 1.0
+
+
 @dataclass(frozen=True, eq=False)
 class Fracture:
     """What a blow does to an asset.
@@ -164,6 +176,7 @@ class BreakableAsset:
     arrays: AssetArrays
     model: FieldModel
     metadata: dict[str, Any]
+    truth: Truth = Truth()
 
     # The body as a whole
 
@@ -215,7 +228,9 @@ class BreakableAsset:
     @cached_property
     def breaking_impulse(self) -> FloatArray:
         """(V,) N·s: no single impulse below it on the faces around that vertex breaks anything, whichever way."""
-        return self.arrays.weakest[0] * self.mass * self.material.breaking_velocity
+        modal = self.truth.kind == "modal"
+        severity = self.arrays.weakest[0] if modal else np.full(self.vertex_count, self.truth.least)
+        return severity * self.mass * self.material.breaking_velocity
 
     def scaled(self, scale: float) -> BreakableAsset:
         """The same object, ``scale`` times as large; arrays are shared."""
@@ -238,6 +253,8 @@ class BreakableAsset:
         return self._may_break(corners, barycentric, severities)
 
     def _may_break(self, corners: IntArray, barycentric: FloatArray, severities: FloatArray) -> bool:
+        if self.truth.kind != "modal":
+            return float(severities.sum()) >= self.truth.least
         nearest = corners[np.arange(len(corners)), np.argmax(barycentric, axis=1)]
         bound = self.arrays.weakest[0 if len(corners) == 1 else 1][nearest]
         return float((severities / bound).sum()) >= 1.0
@@ -245,12 +262,15 @@ class BreakableAsset:
     def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
         """What one impulse, or several acting together, do to the unbroken asset.
 
-        predictor: "field", the learned distance field, segmented; or "modes", the generator's own answer.
+        predictor: "field", the learned distance field, segmented; or "modes", the modal truth's own answer, which an
+        asset baked from another truth does not carry.
         Raises ImpulseError, or FieldError when the model's field is not finite.
         """
         impulses = as_impulses(impulses)
         if predictor not in PREDICTORS:
             raise FracsimError(f"unknown predictor {predictor!r}; use one of {', '.join(PREDICTORS)}")
+        if predictor == "modes" and self.truth.kind != "modal":
+            raise FracsimError(f"{self.name}: was baked from a truth that it does not carry ({self.truth.kind})")
         begin = time.perf_counter()
         corners, barycentric = self._locate(np.array([impulse.point for impulse in impulses]))
         directions = np.array([impulse.direction for impulse in impulses])
@@ -291,15 +311,18 @@ class BreakableAsset:
 
     def sample_impulses(self, count: int, seed: int | np.random.Generator) -> list[Impulse]:
         """Single impulses over the area, in a cone about the inward normal, at 0.3 to 5 times what first
-        parts the body at that point in that direction."""
+        parts the body at that point in that direction (typically parts it, for an asset of another truth than the
+        modal one)."""
         rng = np.random.default_rng(seed)
         pool = SurfacePoints(self.arrays.points[: self.vertex_count], self.faces)
         face, barycentric = pool.draw(count, rng)
         directions = cone(-pool.normals[face], CONE, rng)
         ratio = np.exp(rng.uniform(np.log(SEVERITY[0]), np.log(SEVERITY[1]), count))
-        rows = pool.rows(self.arrays.rows, face[:, None], barycentric[:, None])
-        drive = drives(rows, directions[:, None], np.ones((count, 1)), self.arrays.interfaces)
-        severity = ratio / weakest_cut(drive, self.arrays.pairs, self.arrays.complex.count)
+        severity = ratio * self.truth.typical
+        if self.truth.kind == "modal":
+            rows = pool.rows(self.arrays.rows, face[:, None], barycentric[:, None])
+            drive = drives(rows, directions[:, None], np.ones((count, 1)), self.arrays.interfaces)
+            severity = ratio / weakest_cut(drive, self.arrays.pairs, self.arrays.complex.count)
         magnitude = severity * self.mass * self.material.breaking_velocity
         points = pool.at(face, barycentric) * self.scale + self.offset
         return [Impulse(*blow) for blow in zip(points, directions, magnitude, strict=True)]
@@ -403,6 +426,7 @@ class BreakableAsset:
             "cap": self.cap,
             "crumb_floor": self.crumb_floor,
             "metadata": self.metadata,
+            "truth": asdict(self.truth),
         }
         write_beside(Path(path), save(tensors, metadata={"fracsim": json.dumps(header, sort_keys=True)}))
 
@@ -472,6 +496,7 @@ def _parse(data: bytes, where: str) -> BreakableAsset:
             arrays=AssetArrays(**arrays),
             model=model,
             metadata=header["metadata"],
+            truth=Truth(**header.get("truth", {})),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise AssetError(f"{where}: an entry of the asset is missing or malformed ({error}); {again}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -14,28 +13,25 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from .asset import AssetArrays, BreakableAsset
-from .breaking import Interfaces
+from .asset import AssetArrays, BreakableAsset, Truth
+from .atoms import Atoms, atoms_for
 from .convex import clip_apart, decompose, pack
-from .dataset import Generator, Samples, sample
-from .errors import BakeError, MissingExtraError
-from .fracture_modes import atoms, fracture_modes, impact_field
+from .dataset import Samples, sample, sample_block
+from .errors import BakeError
+from .fracture_modes import impact_field
+from .generator import Generator, ModalGenerator, TruthOptions, make_generator
 from .impulse import Impulse
 from .material import Material, as_material
-from .mesh import read_surface, refine
+from .mesh import Surface, read_surface, refine
 from .metrics import ACCEPTED, amae, ari
 from .models.field import field_from_scores
 from .pieces import AtomComplex
+from .progress import Stages
 from .sampling import SurfacePoints
-from .solid import coarsen, cut_lattice, relabel, shared_faces
+from .solid import surface_parts
 from .spectrum import spectrum
 from .train import TrainingOptions, train_field
-from .udf import CAP, interface_distances
-
-try:
-    from tqdm import tqdm
-except ImportError as error:
-    raise MissingExtraError("tqdm", "bake") from error
+from .udf import CAP, CurveDistances, interface_distances
 
 if TYPE_CHECKING:
     import trimesh
@@ -46,11 +42,13 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """cells: of the solid. modes: fracture modes. samples: impulses to learn from and be tested on.
-    eigenfunctions: of the solid, in which the model sees it. crumb_floor: of the volume; smaller pieces
-    join a neighbour. evaluated: test impulses that the figures are taken over, at most.
+    """truth: "modal", or another of ``generator.TRUTHS``. cells: of the solid. modes: fracture modes.
+    samples: impulses to learn from and be tested on. eigenfunctions: of the solid, in which the model sees it.
+    crumb_floor: of the volume; smaller pieces join a neighbour. evaluated: test impulses that the figures are taken
+    over, at most. workers: processes.
     """
 
+    truth: str = "modal"
     cells: int = 5000
     modes: int = 20
     samples: int = 50000
@@ -67,6 +65,11 @@ class BakeOptions:
                 raise BakeError(f"{name} must be at least {value}, got {getattr(self, name)}")
         if self.training.steps < 1:
             raise BakeError(f"training steps must be at least 1, got {self.training.steps}")
+        _ = self.truth_options  # checks the truth's name
+
+    @property
+    def truth_options(self) -> TruthOptions:
+        return TruthOptions(self.truth, self.cells, self.modes, self.crumb_floor)
 
 
 def bake(
@@ -75,131 +78,119 @@ def bake(
     seed: int = 0,
     options: BakeOptions | None = None,
     progress: bool = False,
+    generator: Callable[[Surface], Generator] | None = None,
 ) -> BreakableAsset:
     """Make a breakable asset of a watertight surface of one component, in metres.
 
     source: a path to any format trimesh reads, or a Trimesh. progress: a bar a stage, on standard error.
     Edges longer than 0.08 of the size are split first, so a coarse mesh comes out with more vertices.
+    generator: makes a truth of one's own for the surface; else ``options.truth`` names it.
     The asset's ``metadata`` holds the stages' times and the model's figures on held-out impulses. Raises
     MeshError for a surface that cannot be baked and BakeError when a stage fails.
     """
     options = options or BakeOptions()
     chosen = as_material(material)
-    stages = _Stages(progress)
-    with stages("validate"):
+    with Stages(progress) as stage:
+        stage("validate")
         surface = refine(read_surface(source))
-    rngs = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2)]
-    with stages("solid"):
-        cells = cut_lattice(surface, options.cells, rngs[0])
-    with stages("modes") as tick:
-        modes = fracture_modes(cells, options.modes, tick)
-    with stages("atoms"):
-        atom = atoms(cells, modes)
-        solid = coarsen(relabel(cells, atom), surface)
-        pairs, areas, vectors = shared_faces(solid.triangles, solid.sides, solid.points)
-        if len(pairs) == 0:
-            raise BakeError(f"{surface.name}: no fracture mode parts it; raise the number of modes or cells")
-        projected = np.linalg.norm(vectors, axis=1)
-        interfaces = Interfaces(pairs, areas, vectors / projected[:, None], projected)
-    with stages("impact"):
-        rows = impact_field(cells, atom, surface.vertices)
-    with stages("distances") as tick:
-        distances, shores = interface_distances(solid, surface, pairs, tick)
+        if generator is None:
+            kind = options.truth
+            truth = make_generator(surface, options.truth_options, seed, stage)
+        else:
+            stage("truth")
+            truth = generator(surface)
+            kind = type(truth).__name__
+        stage("atoms")
+        atoms = atoms_for(truth, seed, options.crumb_floor)
+        cells, solid, interfaces = atoms.cells, atoms.parts, atoms.interfaces
+        stage("impact")
+        rows = truth.rows if isinstance(truth, ModalGenerator) else impact_field(cells, atoms.atom, surface.vertices)
+        tick = stage.ticker("distances")
+        distances, shores = interface_distances(CurveDistances(solid, surface), interfaces.pairs, tick)
         distances = distances[:, : len(surface.vertices)]
-    with stages("samples") as tick:
-        generator = Generator(surface, rows, interfaces, solid.volumes, options.crumb_floor)
-        samples = sample(generator, options.samples, rngs[1], tick)
-    with stages("training") as tick:
-        geometry = spectrum(cells, atom, surface, options.eigenfunctions)
+        tick = stage.ticker("samples")
+        samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project)
+        tick = stage.ticker("training")
+        geometry = spectrum(cells, atoms.atom, surface, options.eigenfunctions)
         model, figures = train_field(samples, geometry, surface.faces, interfaces, seed, options.training, tick)
-    with stages("convex") as tick:
+        tick = stage.ticker("convex")
         complex_ = AtomComplex(solid.points, solid.triangles, solid.sides)
         one = np.eye(complex_.count, dtype=bool)
         shells = [complex_.surface(row)[:2] for row in one]
         whole = (surface.vertices, surface.faces)
         *parts, body = decompose([*shells, whole], options.workers, tick)
-    with stages("clipping") as tick:
-        parts = clip_apart(parts, pairs, interfaces.normals, progress=tick)
-    hulls, whole_hulls = pack([points for some in parts for points in some]), pack(body)
-    arrays = AssetArrays(
-        faces=surface.faces,
-        points=solid.points,
-        triangles=solid.triangles,
-        sides=solid.sides,
-        rows=rows.astype(np.float32),
-        pairs=pairs,
-        areas=areas,
-        normals=interfaces.normals,
-        projected=projected,
-        distances=distances.astype(np.float16),
-        shores=shores,
-        hull_points=hulls[0],
-        hull_faces=hulls[1],
-        hull_sizes=hulls[2],
-        hull_atoms=np.repeat(np.arange(len(parts)), [len(some) for some in parts]),
-        body_points=whole_hulls[0],
-        body_faces=whole_hulls[1],
-        body_sizes=whole_hulls[2],
-    )
-    name = Path(surface.name).stem
-    asset = BreakableAsset(name, chosen, surface.scale, surface.offset, CAP, options.crumb_floor, arrays, model, {})
-    with stages("evaluation") as tick:
-        test = evaluate_asset(asset, samples, options.evaluated, tick)
+        parts = clip_apart(parts, interfaces.pairs, interfaces.normals, progress=stage.ticker("clipping"))
+        hulls, whole_hulls = pack([points for some in parts for points in some]), pack(body)
+        arrays = AssetArrays(
+            faces=surface.faces,
+            points=solid.points,
+            triangles=solid.triangles,
+            sides=solid.sides,
+            rows=rows.astype(np.float32),
+            pairs=interfaces.pairs,
+            areas=interfaces.areas,
+            normals=interfaces.normals,
+            projected=interfaces.projected,
+            distances=distances.astype(np.float16),
+            shores=shores,
+            hull_points=hulls[0],
+            hull_faces=hulls[1],
+            hull_sizes=hulls[2],
+            hull_atoms=np.repeat(np.arange(len(parts)), [len(some) for some in parts]),
+            body_points=whole_hulls[0],
+            body_faces=whole_hulls[1],
+            body_sizes=whole_hulls[2],
+        )
+        given = _truth(kind, samples)
+        name = Path(surface.name).stem
+        floor = options.crumb_floor
+        asset = BreakableAsset(name, chosen, surface.scale, surface.offset, CAP, floor, arrays, model, {}, given)
+        test = evaluate_asset(asset, samples, options.evaluated, stage.ticker("evaluation"))
+        if not atoms.own:
+            test["ari_of_the_atoms"] = _atoms_ari(truth, atoms, seed)
     asset.metadata.update(
         {
             "fracsim": version("fracsim"),
             "seed": seed,
             "options": asdict(options),
-            "seconds": {**stages.seconds, "total": sum(stages.seconds.values())},
+            "truth": kind,
+            "seconds": {**stage.seconds, "total": sum(stage.seconds.values())},
             "counts": {
                 "vertices": len(surface.vertices),
                 "cells": len(cells.volumes),
                 "atoms": len(solid.volumes),
-                "interfaces": len(pairs),
+                "interfaces": len(interfaces),
                 "hulls": len(arrays.hull_sizes),
                 "body_hulls": len(arrays.body_sizes),
             },
-            "mode_energies": [history[-1] for history in modes.objectives],
             "training": figures,
             "test": test,
         }
     )
+    if isinstance(truth, ModalGenerator):
+        asset.metadata["mode_energies"] = [history[-1] for history in truth.energies]
     return asset
 
 
-class _Stages:
-    """A progress bar and a clock for each stage."""
+def _truth(kind: str, samples: Samples) -> Truth:
+    train = samples.part(0)
+    total = train.severities.sum(axis=1)
+    broke = train.labels.any(axis=1)
+    if not broke.any():
+        raise BakeError("no training impulse breaks the body; its truth has nothing to teach")
+    single = train.kind == 0
+    return Truth(kind, 0.5 * float(total[broke].min()), float(np.median((total / train.ratio)[single])))
 
-    def __init__(self, visible: bool) -> None:
-        self.visible = visible
-        self.seconds: dict[str, float] = {}
 
-    def __call__(self, name: str) -> _Stage:
-        return _Stage(self, name)
-
-
-class _Stage:
-    def __init__(self, stages: _Stages, name: str) -> None:
-        self.stages, self.name = stages, name
-
-    def __enter__(self) -> Callable[[float], None]:
-        self.begin = time.perf_counter()
-        self.bar = tqdm(
-            total=100,
-            desc=f"{self.name:<10}",
-            disable=not self.stages.visible,
-            bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}",
-        )
-        return self._tick
-
-    def _tick(self, share: float) -> None:
-        self.bar.update(round(100 * share) - self.bar.n)
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self._tick(1.0)
-        self.bar.close()
-        self.stages.seconds[self.name] = time.perf_counter() - self.begin
+def _atoms_ari(truth: Generator, atoms: Atoms, seed: int) -> float:
+    """How well atoms can say what a truth that cuts freely does: mean ARI at the vertices over the first block's
+    held-out fractures."""
+    block = sample_block(truth, seed, 0)
+    held_out = block.rows((block.split != 0) & block.labels.any(axis=1))
+    count = len(truth.surface.vertices)
+    vertex_cell, vertex_atom = surface_parts(truth.parts, count), surface_parts(atoms.parts, count)
+    rows = zip(held_out.labels[:, vertex_cell], atoms.project(held_out).labels[:, vertex_atom], strict=True)
+    return float(np.mean([ari(free, built) for free, built in rows]))
 
 
 def evaluate_asset(

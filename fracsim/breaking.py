@@ -50,8 +50,13 @@ def drives(rows: FloatArray, directions: FloatArray, severities: FloatArray, int
     """
     first, second = interfaces.pairs.T
     jump = (rows[:, :, second] - rows[:, :, first]) * severities[:, :, None]
-    opening = np.swapaxes(jump, 1, 2) @ directions  # (N, I, 3)
-    normal = np.einsum("nik,ik->ni", opening, interfaces.normals)
+    return effective(np.swapaxes(jump, 1, 2) @ directions, interfaces.normals)
+
+
+def effective(opening: FloatArray, normals: FloatArray) -> FloatArray:
+    """(N, I) what counts of an opening or a traction (N, I, 3) across interfaces of unit normals (I, 3): all of the
+    pull, √κ of the push, β of the shear."""
+    normal = np.einsum("nik,ik->ni", opening, normals)
     tangent = np.maximum(np.einsum("nik,nik->ni", opening, opening) - normal**2, 0.0)
     pull, push = np.maximum(normal, 0.0), np.maximum(-normal, 0.0)
     return np.asarray(np.sqrt(pull**2 + KAPPA * push**2 + BETA**2 * tangent))

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .errors import AssetError, FracsimError
+from .errors import AssetError, DatasetError, FracsimError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -22,6 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bake.add_argument("--out", type=Path, help="the asset to write (default: the mesh's name with .frac)")
     bake.add_argument("--material", default="ceramic", help="glass, ceramic, plaster, stone or ice")
     bake.add_argument("--seed", type=int, default=0)
+    bake.add_argument("--truth", default="modal", help="what it learns from: modal (default), radial or elastic")
     bake.add_argument("--cells", type=int, default=5000, help="of the solid that is cut up")
     bake.add_argument("--modes", type=int, default=20, help="fracture modes")
     bake.add_argument("--samples", type=int, default=50000, help="impulses to learn from and be tested on")
@@ -46,14 +47,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     info.add_argument("asset", help="a file, or the name of an asset that ships")
     info.set_defaults(run=_info)
 
-    for command in (bake, fracture, info):
+    dataset = commands.add_parser("dataset", help="make a file of fracture samples, or say what is in one")
+    actions = dataset.add_subparsers(dest="action", required=True, metavar="ACTION")
+    make = actions.add_parser("make", help="make a dataset, go on with one, or mend one")
+    make.add_argument("mesh", type=Path, nargs="?", help="a watertight mesh; not needed with --like")
+    make.add_argument("--out", type=Path, help="the file (default: the mesh's name with .h5)")
+    make.add_argument("--samples", type=int, default=1000, help="that the file shall hold in the end")
+    make.add_argument("--append", type=int, metavar="N", help="instead: so many more than it holds")
+    make.add_argument("--like", type=Path, metavar="FILE", help="make that dataset again from its own header")
+    make.add_argument("--seed", type=int, default=0)
+    make.add_argument("--truth", default="modal", help="modal (default), radial or elastic")
+    make.add_argument("--cells", type=int, default=5000, help="of the solid that is cut up")
+    make.add_argument("--modes", type=int, default=20, help="fracture modes, of the modal truth")
+    make.add_argument("--workers", type=int, default=1, help="processes")
+    make.add_argument("--backend", default="joblib", help="joblib, on this machine, or ray, on a cluster")
+    make.add_argument("--quiet", action="store_true", help="no progress bars")
+    make.set_defaults(run=_dataset_make)
+    describe = actions.add_parser("info", help="say what is in a dataset, check it, and draw some of it")
+    describe.add_argument("dataset", type=Path)
+    describe.add_argument("--out", type=Path, help="the picture (default: the dataset's name with .png)")
+    describe.add_argument("--seed", type=int, default=0, help="chooses the samples in the picture")
+    describe.set_defaults(run=_dataset_info)
+
+    for command in (bake, fracture, info, make, describe):
         command.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     options = parser.parse_args(arguments)
     try:
         for path in (options.json, getattr(options, "out", None)):
             if path is not None and not path.absolute().parent.is_dir():
                 raise AssetError(f"{path}: the folder {path.parent} does not exist; create it first")
-        for path in (options.json, options.out if options.command == "bake" else None):
+        for path in (options.json, options.out if options.command in ("bake", "dataset") else None):
             if path is not None and path.is_dir():
                 raise AssetError(f"{path}: is a folder; name a file in it")
         figures = options.run(options)
@@ -65,7 +88,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fracsim: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("fracsim: interrupted; nothing was written", file=sys.stderr)
+        kept = (
+            "what is done is kept; the same command goes on" if options.command == "dataset" else "nothing was written"
+        )
+        print(f"fracsim: interrupted; {kept}", file=sys.stderr)
         return 130
     return 0
 
@@ -80,6 +106,7 @@ def _bake(options: argparse.Namespace) -> dict[str, Any]:
         options.material,
         options.seed,
         BakeOptions(
+            truth=options.truth,
             cells=options.cells,
             modes=options.modes,
             samples=options.samples,
@@ -94,9 +121,94 @@ def _bake(options: argparse.Namespace) -> dict[str, Any]:
     return asset.metadata
 
 
+def _dataset_make(options: argparse.Namespace) -> dict[str, Any]:
+    import resource
+    import time
+
+    from .generator import TruthOptions
+    from .mesh import read_surface, refine
+    from .storage import Dataset, make_dataset, regenerate
+
+    begin = time.perf_counter()
+    if (options.mesh is None) == (options.like is None):
+        raise DatasetError("give a mesh, or --like and a dataset to make again")
+    out = options.out or Path((options.mesh or options.like).stem + (".h5" if options.mesh else "_again.h5"))
+    progress = not options.quiet
+    if options.like is not None:
+        seconds = regenerate(options.like, out, options.workers, options.backend, progress)
+    else:
+        surface = refine(read_surface(options.mesh))
+        truth = TruthOptions(options.truth, options.cells, options.modes)
+        total = options.samples
+        if options.append is not None:
+            with Dataset(out) as there:
+                total = len(there) + options.append
+        seconds = make_dataset(
+            out, surface, total, options.seed, truth, None, options.workers, options.backend, progress
+        )
+    figures = _describe(out)
+    figures["seconds"] = {**seconds, "total": time.perf_counter() - begin}
+    # Linux counts in KiB. Of this process and of the largest of its workers.
+    peak = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    figures["peak_memory_mb"] = max(peak) * 1024 / 1e6
+    print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+    _print_figures(figures)
+    return figures
+
+
+def _dataset_info(options: argparse.Namespace) -> dict[str, Any]:
+    from .view import picture_sheet
+
+    out = options.out or options.dataset.with_suffix(".png")
+    figures = _describe(options.dataset)
+    header = figures["header"]
+    truth = ", ".join(f"{key} {value}" for key, value in header["truth"].items())
+    print(f"{options.dataset}: {figures['mesh']}; {truth}; seed {header['seed']}; fracsim {header['fracsim']}")
+    _print_figures(figures)
+    for name in figures["damaged"]:
+        print(f"  DAMAGED {name}")
+    picture_sheet(options.dataset, out, options.seed)
+    print(f"{out}: some of its samples")
+    return figures
+
+
+def _describe(path: Path) -> dict[str, Any]:
+    import numpy as np
+
+    from .dataset import KINDS
+    from .storage import Dataset
+
+    with Dataset(path) as dataset:
+        damaged = [name for _, name in dataset.damage()]
+        samples = dataset.samples(skip_damaged=True)
+        pieces = samples.labels.max(axis=1, initial=0) + 1
+        broken = pieces > 1
+        return {
+            "header": dataset.header,
+            "mesh": dataset.surface.name,
+            "damaged": damaged,
+            "counts": {
+                "samples": len(samples),
+                "damaged_chunks": len(damaged),
+                "vertices": len(dataset.surface.vertices),
+                "parts": len(dataset.parts.volumes),
+                "interfaces": len(dataset.file["interfaces/pairs"]),
+                "links": len(dataset.links),
+            },
+            "splits": {name: int((samples.split == k).sum()) for k, name in enumerate(("train", "validation", "test"))},
+            "kinds": {name: int((samples.kind == k).sum()) for k, name in enumerate(KINDS)},
+            "pieces": {
+                "breaking": int(broken.sum()),
+                "median": float(np.median(pieces[broken])) if broken.any() else 0.0,
+                "most": int(pieces.max(initial=0)),
+            },
+        }
+
+
 def _print_figures(metadata: dict[str, Any]) -> None:
-    for group in ("counts", "seconds", "test"):
-        print(f"  {group}")
+    for group in ("counts", "splits", "kinds", "pieces", "seconds", "test"):
+        if group in metadata:
+            print(f"  {group}")
         for key, value in metadata.get(group, {}).items():
             print(f"    {key:<36}{value:>12.5g}" if isinstance(value, float) else f"    {key:<36}{value:>12}")
 

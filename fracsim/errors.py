@@ -18,6 +18,10 @@ class AssetError(FracsimError):
     """A baked asset that cannot be read: missing, truncated, of another format or version."""
 
 
+class DatasetError(FracsimError):
+    """A dataset file that cannot be read, is damaged, or does not belong to what is asked of it."""
+
+
 class BakeError(FracsimError):
     """A baking stage failed on a valid surface."""
 

@@ -60,18 +60,17 @@ class Material:
         return asdict(self)
 
 
-# Rounded, typical values. Glass: soda-lime float glass, EN 572-1 and EN 1288 (flexural strength of annealed
-# glass), fracture energy after Wiederhorn 1969. Ceramic: vitrified stoneware and porcelain, Callister,
-# Materials Science and Engineering, appendix B. Plaster: set gypsum, EN 13279. Stone: granite, Goodman,
-# Introduction to Rock Mechanics, chapter 3. Ice: polycrystalline at -10 °C, Petrovic 2003, Schulson 1999.
+# Small objects as one meets them, not the best or worst of their kind; docs/generator.md gives the source of every
+# number. Sound speeds follow from E and ν, c² = E (1 - ν) / (ρ (1 + ν) (1 - 2ν)), fracture energies from the fracture
+# toughness, G = K² (1 - ν²) / E, where no measured one is cited.
 PRESETS = {
     material.name: material
     for material in (
-        Material("glass", 2500.0, 50e6, 900e6, 5500.0, 8.0),
-        Material("ceramic", 2400.0, 50e6, 500e6, 5500.0, 20.0),
-        Material("plaster", 1100.0, 2.5e6, 10e6, 2200.0, 5.0),
-        Material("stone", 2650.0, 10e6, 170e6, 4500.0, 80.0),
-        Material("ice", 917.0, 1.2e6, 10e6, 3800.0, 1.0),
+        Material("glass", 2480.0, 50e6, 1000e6, 5900.0, 7.8),
+        Material("ceramic", 2400.0, 45e6, 350e6, 5700.0, 14.0),
+        Material("plaster", 1100.0, 2.3e6, 12e6, 2130.0, 4.2),
+        Material("stone", 2650.0, 11.7e6, 141e6, 5500.0, 80.0),
+        Material("ice", 917.0, 1.7e6, 10e6, 3830.0, 1.4),
     )
 }
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from .errors import MeshError, MissingExtraError
 
@@ -16,6 +17,7 @@ try:
 except ImportError as error:
     raise MissingExtraError(str(error.name), "bake") from error
 
+REACH = 0.1  # of the largest extent: walls thicker than that are no walls to link across
 LONGEST = 0.08  # of the largest extent: edges longer than that are split before baking
 
 FloatArray = npt.NDArray[np.float64]
@@ -76,6 +78,29 @@ def refine(surface: Surface, longest: float = LONGEST) -> Surface:
     fine = solid.refine_to_length(longest).to_mesh64()
     vertices = np.ascontiguousarray(np.asarray(fine.vert_properties)[:, :3])
     return replace(surface, vertices=vertices, faces=np.asarray(fine.tri_verts).astype(np.int64))
+
+
+def facing_vertices(surface: Surface, reach: float = REACH) -> IntArray:
+    """Links (L, 2): vertices that face each other through a wall thinner than ``reach``.
+
+    The partner of a vertex is the vertex nearest to the line into the body along its normal, on a side that faces it.
+    A pair is listed once, the smaller index first.
+    """
+    vertices = surface.vertices
+    normals = np.asarray(surface.trimesh.vertex_normals)
+    near = cKDTree(vertices).query_ball_point(vertices - 0.5 * reach * normals, 0.75 * reach)
+    one = np.repeat(np.arange(len(vertices)), [len(row) for row in near])
+    other = np.concatenate([np.asarray(row, dtype=np.int64) for row in near])
+    arm = vertices[other] - vertices[one]
+    depth = -np.einsum("ni,ni->n", arm, normals[one])
+    beside = np.linalg.norm(arm + depth[:, None] * normals[one], axis=1)
+    facing = np.einsum("ni,ni->n", normals[other], normals[one]) < -0.5
+    through = facing & (depth > 0) & (depth < reach) & (beside < 0.5 * reach)
+    one, other, score = one[through], other[through], (beside + 0.2 * depth)[through]
+    order = np.lexsort((score, one))
+    _, first = np.unique(one[order], return_index=True)
+    pairs = np.sort(np.stack([one[order][first], other[order][first]], axis=1), axis=1)
+    return np.unique(pairs, axis=0) if len(pairs) else np.zeros((0, 2), dtype=np.int64)
 
 
 def _check(mesh: trimesh.Trimesh, name: str) -> Surface:

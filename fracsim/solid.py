@@ -542,6 +542,14 @@ def relabel(solid: Solid, label: IntArray) -> Solid:
     )
 
 
+def surface_parts(solid: Solid, count: int) -> IntArray:
+    """(V,) the cell that each of the surface's ``count`` vertices lies on."""
+    result = np.full(len(solid.points), -1)
+    outer = solid.source >= 0
+    result[solid.triangles[outer]] = solid.sides[outer, :1]
+    return result[:count]
+
+
 def _join_slivers(solid: Solid) -> Solid:
     pairs, areas, _ = shared_faces(solid.triangles, solid.sides, solid.points)
     floor = SLIVER * float(np.quantile(solid.volumes, 0.9))

@@ -13,13 +13,14 @@ from conftest import QUICK
 import fracsim
 from fracsim.asset import AssetArrays
 from fracsim.cli import main
-from fracsim.dataset import CONTACTS, Generator, sample
+from fracsim.dataset import CONTACTS, sample
+from fracsim.generator import modal_generator
 from fracsim.mesh import read_surface
 
 
 def test_a_users_own_mesh_bakes_and_breaks(slab, slab_mesh):
     assert slab.size == pytest.approx(0.4)
-    assert slab.mass == pytest.approx(0.4 * 0.2 * 0.1 * 2500)
+    assert slab.mass == pytest.approx(0.4 * 0.2 * 0.1 * 2480)
     np.testing.assert_allclose(slab.center_of_mass, (1.0, -2.0, 0.5), atol=1e-9)
     np.testing.assert_allclose(slab.vertices, slab_mesh.vertices, atol=1e-12)
     fractures = [slab.fracture(impulse) for impulse in slab.sample_impulses(30, 0)]
@@ -58,8 +59,7 @@ def test_one_seed_gives_one_asset(slab, slab_mesh):
 @pytest.fixture(scope="module")
 def samples(slab):
     surface = read_surface(trimesh.Trimesh(slab.vertices, slab.faces, process=False))
-    generator = Generator(surface, slab.arrays.rows, slab.arrays.interfaces, slab.arrays.moments[0], 1e-3)
-    return surface, sample(generator, 4000, np.random.default_rng(0))
+    return surface, sample(modal_generator(surface, np.random.default_rng(0), 800, 5), 4000, 0)
 
 
 def test_samples_break_exactly_from_their_own_threshold_on(samples):
@@ -159,7 +159,7 @@ def test_an_interrupted_bake_leaves_no_file(tmp_path, monkeypatch, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("fracsim.baking.cut_lattice", interrupt)
+    monkeypatch.setattr("fracsim.generator.cut_lattice", interrupt)
     assert main(["bake", str(mesh), "--out", str(tmp_path / "b.frac"), "--quiet"]) == 130
     assert "nothing was written" in capsys.readouterr().err
     assert [entry.name for entry in tmp_path.iterdir()] == ["box.obj"]

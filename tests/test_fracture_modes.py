@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from fracsim.fracture_modes import atoms, fracture_modes, impact_field, neighbours
+from fracsim.errors import BakeError
+from fracsim.fracture_modes import atoms, fracture_modes, impact_field, laplacian, neighbours
 from fracsim.mesh import read_surface
 from fracsim.solid import cut_lattice, relabel, shared_faces
 
@@ -38,10 +39,79 @@ def test_the_first_mode_of_two_cubes_on_a_bar_cuts_the_bar(bell):
     assert joined.volumes.min() / joined.volumes.sum() > 0.4
 
 
+def dumbbell():
+    """Two balls of radius 1 on a waisted rod whose neck has radius 0.3."""
+    profile = [[0.0, -2.2]]
+    angle = np.linspace(-np.pi / 2, 0, 8)[1:]
+    profile += [[np.cos(a), -1.2 + np.sin(a)] for a in angle]
+    height = np.linspace(-1.0, 1.0, 17)
+    profile += [[0.3 + 0.4 * z**2 + 0.2 * z**4, z] for z in height]
+    profile += [[np.cos(a), 1.2 + np.sin(a)] for a in np.linspace(0, np.pi / 2, 8)[:-1]]
+    profile += [[0.0, 2.2]]
+    return trimesh.creation.revolve(np.array(profile), sections=32)
+
+
+def first_cut(mesh, cells):
+    """The area of the first mode's cut, projected on its mean normal, in the mesh's units, and the smaller share."""
+    surface = read_surface(mesh)
+    solid = cut_lattice(surface, cells, np.random.default_rng(1))
+    mode = fracture_modes(solid, 1).values[0]
+    joined = relabel(solid, (mode > mode.mean()).astype(np.int64))
+    pairs, _, vectors = shared_faces(joined.triangles, joined.sides, joined.points)
+    assert len(pairs) == 1
+    return np.linalg.norm(vectors[0]) * surface.scale**2, joined.volumes.min() / joined.volumes.sum(), vectors[0]
+
+
+def test_a_dumbbell_parts_at_its_neck():
+    # The lattice's cells bound how well a waist is found: 8 % off with 8,000 cells, up to 20 % with 2,500.
+    area, share, normal = first_cut(dumbbell(), 8000)
+    neck = 16 * np.sin(np.pi / 16) * 0.3**2  # of a prism of 32 sides
+    assert area == pytest.approx(neck, rel=0.1)
+    assert share > 0.4
+    assert abs(normal[2]) / np.linalg.norm(normal) > 0.95
+
+
+def test_a_box_parts_in_halves_across_its_length():
+    area, share, normal = first_cut(trimesh.creation.box((1.0, 0.5, 0.4)), 1500)
+    assert area == pytest.approx(0.5 * 0.4, rel=0.1)
+    assert share > 0.4
+    assert abs(normal[0]) / np.linalg.norm(normal) > 0.9
+
+
+def test_the_two_solvers_agree_and_known_modes_are_gone_on_from(bell):
+    _, solid, modes = bell
+    exact = fracture_modes(solid, 3, solver="interior-point")
+    for quick, slow in zip(modes.objectives, exact.objectives, strict=True):
+        assert quick[-1] == pytest.approx(slow[-1], rel=0.01)
+    third = fracture_modes(solid, 1, known=modes.values[:2])
+    np.testing.assert_allclose(np.abs(third.values[0]), np.abs(modes.values[2]), atol=1e-6)
+
+
+def test_a_start_among_the_modes_found_is_replaced(bell):
+    _, solid, _ = bell
+    # The first eigenvectors are all taken, so the next mode has to start from elsewhere.
+    pairs, _, conductance = neighbours(solid)
+    share = solid.volumes / solid.volumes.sum()
+    root = 1 / np.sqrt(share)
+    graph = laplacian(pairs, conductance, len(share)).toarray()
+    _, vectors = np.linalg.eigh(root[:, None] * graph * root)
+    taken = (root[:, None] * vectors[:, 1:4]).T
+    more = fracture_modes(solid, 1, known=taken[[1, 2, 0]])
+    assert more.restarts == 0  # the fourth eigenvector is free
+    again = fracture_modes(solid, 1, known=(root[:, None] * vectors[:, 2:5]).T)
+    assert again.restarts == 1  # the fourth is taken
+    np.testing.assert_allclose(again.values * share @ (root[:, None] * vectors[:, 2:5]), 0, atol=1e-6)
+
+
+def test_an_unknown_solver_is_refused(bell):
+    with pytest.raises(BakeError, match="unknown solver 'magic'"):
+        fracture_modes(bell[1], 1, solver="magic")
+
+
 def test_objectives_never_increase_and_modes_are_orthonormal(bell):
     _, solid, modes = bell
     for energies in modes.objectives:
-        assert all(b <= a * (1 + 1e-3) for a, b in itertools.pairwise(energies))
+        assert all(b <= a for a, b in itertools.pairwise(energies))
     mass = solid.volumes / solid.volumes.sum()
     np.testing.assert_allclose(modes.values * mass @ modes.values.T, np.eye(3), atol=1e-6)
     np.testing.assert_allclose(modes.values @ mass, 0, atol=1e-6)

@@ -1,0 +1,354 @@
+"""How wrong is diffusion? The generator's spread of a blow beside a linear-elastic one, on the same interfaces.
+
+python benchmarks/elastic.py                # writes benchmarks/results/elastic.{json,md,png}; needs the extra "check"
+
+Each shape is built as it is baked; 300 single blows fall on it, uniform over the area and in the cone of directions.
+For each, the drives of its interfaces by momentum diffusion are ranked against those by elastic tractions under
+inertia relief (fracsim/elastic.py). A strength and a jump of velocity have no common unit, so only ranks, and
+fractures at 1.5 times each rule's own threshold, are compared. A finer mesh shows the reference's own error, and
+the fracture of another blow what a comparison of unrelated fractures would give.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import rankdata, spearmanr
+
+from fracsim.breaking import components, effective, weakest_cut
+from fracsim.elastic import ElasticBody, elastic_generator, mesh_edge, single_blows, tetrahedralise
+from fracsim.generator import Blows, ModalGenerator, absorb_all, modal_generator
+from fracsim.mesh import read_surface, refine
+from fracsim.metrics import ari
+from fracsim.sampling import SurfacePoints
+from fracsim.solid import sums, surface_parts
+
+RESULTS = Path(__file__).parent / "results"
+MESHES = Path(__file__).parent.parent / "meshes"
+SHAPES = ("bunny", "chair", "vase")
+BLOWS = 300
+FAR = 0.3  # of the largest extent, from the contact to the interface
+RATIO = 1.5  # of a blow's severity to its threshold where fractures are compared
+FINER = 0.7  # edge length of the finer mesh over that of the mesh used
+FEWEST = 8  # interfaces a rank correlation is taken over at least
+KINDS = ("all", "near", "far", "tension", "compression")
+
+
+def centres(modal: ModalGenerator) -> np.ndarray:
+    """(I, 3) the area-weighted centres of the interfaces."""
+    parts, pairs = modal.parts, modal.interfaces.pairs
+    inner = parts.source < 0
+    corner = parts.points[parts.triangles[inner]]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    found, index = np.unique(np.sort(parts.sides[inner], axis=1), axis=0, return_inverse=True)
+    assert np.array_equal(found, pairs)
+    index = index.reshape(-1)
+    return sums(index, area[:, None] * corner.mean(axis=1), len(pairs)) / sums(index, area, len(pairs))[:, None]
+
+
+def rank_correlations(left: np.ndarray, right: np.ndarray, chosen: np.ndarray) -> dict:
+    """Spearman's correlation over the chosen interfaces (N, I) of each blow: its median and 10 and 90 %."""
+    found = [
+        float(spearmanr(a[c], b[c]).statistic) for a, b, c in zip(left, right, chosen, strict=True) if c.sum() >= FEWEST
+    ]
+    low, middle, high = np.percentile(found, (10, 50, 90))
+    return {"median": middle, "p10": low, "p90": high, "blows": len(found)}
+
+
+def fractures(modal: ModalGenerator, drive: np.ndarray) -> np.ndarray:
+    """(N, V) the piece of each vertex at RATIO times each blow's threshold."""
+    pairs, count = modal.interfaces.pairs, len(modal.parts.volumes)
+    whole = drive * (RATIO / weakest_cut(drive, pairs, count))[:, None] < 1.0
+    labels = absorb_all(components(whole, pairs, count), modal.parts.volumes, modal.interfaces, modal.crumb_floor)
+    return labels[:, surface_parts(modal.parts, len(modal.surface.vertices))]
+
+
+def agreement(modal: ModalGenerator, left: np.ndarray, right: np.ndarray) -> dict:
+    """What becomes of the body under drives ``left`` and ``right`` (N, I) of the same blows."""
+    pairs, count = modal.interfaces.pairs, len(modal.parts.volumes)
+    here, there = fractures(modal, left), fractures(modal, right)
+    same = np.array([ari(a, b) for a, b in zip(here, there, strict=True)])
+    other = np.array([ari(a, b) for a, b in zip(here, np.roll(there, 1, axis=0), strict=True)])
+    cuts = [weakest_cut(drive, pairs, count) for drive in (left, right)]
+    return {
+        "thresholds": float(spearmanr(*cuts).statistic),
+        "ari": float(same.mean()),
+        "ari_of_another_blow": float(other.mean()),
+        "pieces": [float((labels.max(axis=1) + 1).mean()) for labels in (here, there)],
+    }
+
+
+def hardest(drive: np.ndarray) -> np.ndarray:
+    """(N, I) the tenth of the interfaces that each blow drives hardest."""
+    return drive >= np.quantile(drive, 0.9, axis=1, keepdims=True)
+
+
+def openings(modal: ModalGenerator, blows: Blows) -> np.ndarray:
+    """(N, I) the normal component of the diffused jump, positive where it opens the interface."""
+    points = SurfacePoints(modal.surface.vertices, modal.surface.faces)
+    field = points.rows(modal.rows, blows.faces, blows.barycentric)[:, 0]
+    first, second = modal.interfaces.pairs.T
+    return (field[:, second] - field[:, first]) * (blows.directions[:, 0] @ modal.interfaces.normals.T)
+
+
+def compare(name: str) -> tuple[dict, dict]:
+    """The figures of one shape, and the arrays that are plotted."""
+    start = time.perf_counter()
+    surface = refine(read_surface(MESHES / f"{name}.obj"))
+    rng = np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0])
+    modal = modal_generator(surface, rng, cells=5000, modes=20)
+    seconds = {"modal": time.perf_counter() - start}
+
+    start = time.perf_counter()
+    edge = mesh_edge(surface)
+    mesh = tetrahedralise(surface, edge)
+    seconds["mesh"] = time.perf_counter() - start
+    start = time.perf_counter()
+    elastic = elastic_generator(modal, mesh)
+    seconds["elastic"] = time.perf_counter() - start
+
+    blows = single_blows(surface, BLOWS, np.random.default_rng(1))
+    start = time.perf_counter()
+    diffused = modal.drives(blows)
+    seconds["modal_query"] = (time.perf_counter() - start) / BLOWS
+    start = time.perf_counter()
+    tractions = elastic.tractions(blows)
+    stressed = effective(tractions, modal.interfaces.normals)
+    seconds["elastic_query"] = (time.perf_counter() - start) / BLOWS
+
+    contacts = SurfacePoints(surface.vertices, surface.faces).at(blows.faces[:, 0], blows.barycentric[:, 0])
+    directions = blows.directions[:, 0]
+    distance = np.linalg.norm(contacts[:, None] - centres(modal)[None], axis=2)
+    pull = np.einsum("nik,ik->ni", tractions, modal.interfaces.normals)
+    everywhere = np.ones(diffused.shape, dtype=bool)
+    chosen = {"all": everywhere, "near": distance < FAR, "far": distance >= FAR}
+    chosen |= {"tension": pull > 0, "compression": pull < 0}
+    opened = openings(modal, blows)
+
+    # Forwards from the contacts themselves: the mean traction on a finer mesh, and bending on either.
+    body = ElasticBody(surface, modal.parts, modal.interfaces, mesh)
+    bent = body.root_mean_square_drives(body.displacements(contacts, directions))
+    finer = ElasticBody(surface, modal.parts, modal.interfaces, edge=FINER * edge)
+    moved = finer.displacements(contacts, directions)
+    refined = effective(finer.tractions_of(moved), modal.interfaces.normals)
+    refined_bent = finer.root_mean_square_drives(moved)
+
+    figures = {
+        "vertices": len(surface.vertices),
+        "parts": len(modal.parts.volumes),
+        "interfaces": len(modal.interfaces),
+        "tetrahedra": mesh.t.shape[1],
+        "finer_tetrahedra": finer.mesh.t.shape[1],
+        "edge": edge,
+        "gauge": elastic.gauge,
+        "drives": {kind: rank_correlations(diffused, stressed, mask) for kind, mask in chosen.items()},
+        "drives_bending": rank_correlations(diffused, bent, everywhere),
+        "mean_against_bending": rank_correlations(stressed, bent, everywhere),
+        "drives_finer_mesh": rank_correlations(stressed, refined, everywhere),
+        "bending_finer_mesh": rank_correlations(bent, refined_bent, everywhere),
+        "fracture": agreement(modal, diffused, stressed),
+        "fracture_bending": agreement(modal, diffused, bent),
+        "fracture_mean_against_bending": agreement(modal, stressed, bent),
+        "fracture_finer_mesh": agreement(modal, stressed, refined),
+        # Where elasticity pulls hard, does diffusion open? And how much of what is driven hardest is far away?
+        "opened_where_pulled_hard": {
+            kind: float((opened > 0)[hardest(stressed) & (pull > 0) & chosen[kind]].mean()) for kind in ("near", "far")
+        },
+        "opened": {kind: float((opened > 0)[chosen[kind]].mean()) for kind in ("near", "far")},
+        "far_among_hardest_driven": {
+            rule: float(chosen["far"][hardest(drive)].mean())
+            for rule, drive in (("elastic", stressed), ("diffusion", diffused))
+        },
+        "seconds": seconds,
+    }
+    plotted = {
+        "diffused": diffused,
+        "stressed": stressed,
+        "pull": pull,
+        "distance": distance,
+        "cuts": [weakest_cut(d, modal.interfaces.pairs, len(modal.parts.volumes)) for d in (diffused, stressed)],
+    }
+    return figures, plotted
+
+
+def spread(found: dict) -> str:
+    return f"{found['median']:.2f} ({found['p10']:.2f} to {found['p90']:.2f})"
+
+
+def show(values: dict, form: str = ".2f", scale: float = 1) -> str:
+    return " / ".join(f"{scale * value:{form}}" for value in values.values())
+
+
+def rows(s: dict) -> list[tuple[str, str]]:
+    """What the table says of one shape."""
+    drives, seconds = s["drives"], {stage: s["seconds"][stage] for stage in ("modal", "mesh", "elastic")}
+    queries = {stage: s["seconds"][stage] for stage in ("modal_query", "elastic_query")}
+    fracture, bending, finer = (s[f"fracture{what}"] for what in ("", "_mean_against_bending", "_finer_mesh"))
+    return [
+        ("parts / interfaces / tetrahedra", show({k: s[k] for k in ("parts", "interfaces", "tetrahedra")}, "d")),
+        ("**ρ of drives**, diffusion and elastic", spread(drives["all"])),
+        (f"… interfaces nearer than {FAR}", spread(drives["near"])),
+        (f"… farther than {FAR}", spread(drives["far"])),
+        ("… in tension", spread(drives["tension"])),
+        ("… in compression", spread(drives["compression"])),
+        ("diffusion and elastic with bending kept", spread(s["drives_bending"])),
+        ("elastic and elastic with bending kept", spread(s["mean_against_bending"])),
+        ("elastic and elastic on a finer mesh", spread(s["drives_finer_mesh"])),
+        ("**ρ of thresholds**, diffusion and elastic", f"{fracture['thresholds']:.2f}"),
+        ("elastic and elastic with bending kept", f"{bending['thresholds']:.2f}"),
+        ("elastic and elastic on a finer mesh", f"{finer['thresholds']:.2f}"),
+        ("**ARI of fractures**, diffusion and elastic", f"{fracture['ari']:.2f}"),
+        ("diffusion and elastic, unrelated blows", f"{fracture['ari_of_another_blow']:.2f}"),
+        ("elastic and elastic with bending kept", f"{bending['ari']:.2f}"),
+        ("elastic and elastic on a finer mesh", f"{finer['ari']:.2f}"),
+        ("pieces, diffusion / elastic", show(dict(enumerate(fracture["pieces"])), ".1f")),
+        ("pulled hard and opened by diffusion too, near / far, %", show(s["opened_where_pulled_hard"], ".0f", 100)),
+        ("opened by diffusion, of all interfaces, near / far, %", show(s["opened"], ".0f", 100)),
+        ("far among the hardest driven, elastic / diffusion, %", show(s["far_among_hardest_driven"], ".0f", 100)),
+        ("to build: modal / mesh / elastic, s", show(seconds, ".0f")),
+        ("a blow: modal / elastic, µs", show(queries, ".0f", 1e6)),
+    ]
+
+
+def between(values: list[float], form: str = ".2f", scale: float = 1.0) -> str:
+    low, high = (f"{scale * value:{form}}" for value in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
+
+
+def sentences(shapes: dict) -> list[str]:
+    every = list(shapes.values())
+    added = [s["seconds"]["mesh"] + s["seconds"]["elastic"] for s in every]
+    far = [s["far_among_hardest_driven"] for s in every]
+    pulled = [s["opened_where_pulled_hard"] for s in every]
+    drives, fractures = [s["drives"] for s in every], [s["fracture"] for s in every]
+    slower = [s["seconds"]["elastic_query"] / s["seconds"]["modal_query"] for s in every]
+    return [
+        "Diffusion is a rough guide to elastic stress: the median rank correlation of the drives is "
+        f"{between([d['all']['median'] for d in drives])}, where the reference agrees with itself on a finer mesh to "
+        f"{between([s['drives_finer_mesh']['median'] for s in every])}. Part of that is distance alone: within the "
+        f"interfaces near the contact it is {between([d['near']['median'] for d in drives])}, within the far ones "
+        f"{between([d['far']['median'] for d in drives])}.",
+        "Far-side tension it hardly sees: of the interfaces farther than "
+        f"{FAR} that elasticity pulls apart and drives hardest, diffusion opens "
+        f"{between([p['far'] for p in pulled], '.0f', 100)} %, of all far interfaces "
+        f"{between([s['opened']['far'] for s in every], '.0f', 100)} %; near the contact it is "
+        f"{between([p['near'] for p in pulled], '.0f', 100)} %. Elasticity has "
+        f"{between([f['elastic'] for f in far], '.0f', 100)} % of its hardest driven tenth beyond {FAR}, diffusion "
+        f"{between([f['diffusion'] for f in far], '.0f', 100)} %.",
+        "Which blows break the body most easily, the two rank alike to "
+        + ", ".join(f"{s['fracture']['thresholds']:.2f} ({name})" for name, s in shapes.items())
+        + f". The pieces agree to an ARI of {between([f['ari'] for f in fractures])}, unrelated blows to "
+        f"{between([f['ari_of_another_blow'] for f in fractures])}, the reference with itself on a finer mesh to "
+        f"{between([s['fracture_finer_mesh']['ari'] for s in every])}.",
+        "The mean traction of an interface hides bending where the interface is a whole section, tension on one side "
+        "cancelling compression on the other. With bending kept (root mean square over the interface) the elastic "
+        f"ranks agree with the mean's to {between([s['mean_against_bending']['median'] for s in every])}, and with "
+        f"diffusion's to {between([s['drives_bending']['median'] for s in every])}.",
+        f"Elastic drives would add {between(added, '.0f')} s to a bake, the mesh included, and make a query "
+        f"{between(slower, '.1f')} times as dear. They are no truth either: quasi-static, without waves, and all that "
+        "breaks breaks at once, under the stress of the whole body.",
+    ]
+
+
+def draw(shapes: dict, plotted: dict) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(2, len(shapes), figsize=(4.2 * len(shapes), 8), layout="constrained")
+    for axis, (name, arrays) in zip(axes[0], plotted.items(), strict=True):
+        # The blow whose correlation is the median one.
+        found = [float(spearmanr(a, b).statistic) for a, b in zip(arrays["diffused"], arrays["stressed"], strict=True)]
+        typical = int(np.argsort(found)[len(found) // 2])
+        ranks = [
+            100 * rankdata(arrays[rule][typical]) / len(arrays[rule][typical]) for rule in ("diffused", "stressed")
+        ]
+        pulled = arrays["pull"][typical] > 0
+        colours = dict(
+            c=arrays["distance"][typical], cmap="viridis_r", vmin=0.0, vmax=0.9, edgecolors="k", linewidths=0.3
+        )
+        for chosen, marker, what in ((pulled, "^", "tension"), (~pulled, "v", "compression")):
+            part = colours | {"c": colours["c"][chosen]}
+            dots = axis.scatter(ranks[0][chosen], ranks[1][chosen], s=26, marker=marker, label=what, **part)
+        axis.plot([0, 100], [0, 100], color="grey", lw=0.8, zorder=0)
+        axis.set(
+            title=f"{name}, a typical blow: ρ = {found[typical]:.2f}", xlabel="rank by diffusion, %", aspect="equal"
+        )
+    axes[0, 0].set_ylabel("rank by elasticity, %")
+    axes[0, 1].legend(fontsize=8, title="by elasticity", title_fontsize=8, loc="lower right")
+    figure.colorbar(dots, ax=axes[0], label="distance from the contact, sizes", shrink=0.8)
+
+    bars = axes[1, 0]
+    labels = [*KINDS, "finer\nmesh"]
+    width = 0.8 / len(shapes)
+    for k, (name, s) in enumerate(shapes.items()):
+        values = [s["drives"][kind] for kind in KINDS] + [s["drives_finer_mesh"]]
+        middle = np.array([v["median"] for v in values])
+        error = np.array([[v["median"] - v["p10"] for v in values], [v["p90"] - v["median"] for v in values]])
+        place = np.arange(len(values)) + (k - (len(shapes) - 1) / 2) * width
+        bars.bar(place, middle, width, yerr=error, label=name, error_kw={"lw": 0.8})
+    bars.set_xticks(range(len(labels)), [label.replace("compression", "compr.") for label in labels], fontsize=8)
+    bars.axhline(0, color="k", lw=0.6)
+    bars.axvline(len(KINDS) - 0.5, color="grey", lw=0.8, ls=":")
+    bars.set(title="drives: ρ with elastic ones, p10 to p90", ylabel="Spearman's ρ")
+    bars.legend(fontsize=8, loc="upper left")
+
+    scatter = axes[1, 1]
+    for (name, arrays), colour in zip(plotted.items(), ("C0", "C1", "C2"), strict=True):
+        diffused, stressed = (np.median(cut) / cut for cut in arrays["cuts"])
+        scatter.loglog(diffused, stressed, ".", ms=3, color=colour, alpha=0.6)
+        label = f"{name}, ρ = {shapes[name]['fracture']['thresholds']:.2f}"
+        scatter.plot([], [], "o", color=colour, label=label)
+    scatter.set(title="thresholds over their median", xlabel="by diffusion", ylabel="by elasticity")
+    scatter.legend(fontsize=8)
+
+    pieces = axes[1, 2]
+    kinds = {
+        "another\nblow": lambda s: s["fracture"]["ari_of_another_blow"],
+        "diffusion": lambda s: s["fracture"]["ari"],
+        "bending\nkept": lambda s: s["fracture_mean_against_bending"]["ari"],
+        "finer\nmesh": lambda s: s["fracture_finer_mesh"]["ari"],
+    }
+    for k, (name, s) in enumerate(shapes.items()):
+        place = np.arange(len(kinds)) + (k - (len(shapes) - 1) / 2) * width
+        pieces.bar(place, [value(s) for value in kinds.values()], width, label=name)
+    pieces.set_xticks(range(len(kinds)), kinds, fontsize=8)
+    pieces.set(title=f"fractures at {RATIO} × threshold", ylabel="ARI with elastic ones", ylim=(-0.05, 1.05))
+    pieces.axhline(0, color="k", lw=0.6)
+    figure.savefig(RESULTS / "elastic.png", dpi=110)
+
+
+def report(shapes: dict, plotted: dict) -> None:
+    RESULTS.mkdir(exist_ok=True)
+    result = {"command": "python benchmarks/elastic.py", "blows": BLOWS, "ratio": RATIO, "far": FAR, "shapes": shapes}
+    (RESULTS / "elastic.json").write_text(json.dumps(result, indent=2) + "\n")
+    columns = [rows(s) for s in shapes.values()]
+    lines = [
+        f"Momentum diffusion, as in the generator, beside linear elasticity under inertia relief; {BLOWS} single blows",
+        "a shape. ρ: Spearman's rank correlation, of drives over the interfaces of each blow (median, 10 % to 90 % of",
+        "the blows) or of thresholds over the blows. ARI: of the pieces that the vertices lie on, at",
+        f"{RATIO} times each rule's own threshold. `python benchmarks/elastic.py`",
+        "",
+        "| | " + " | ".join(shapes) + " |",
+        "|---" * (len(shapes) + 1) + "|",
+    ]
+    lines += [f"| {row[0][0]} | " + " | ".join(value for _, value in row) + " |" for row in zip(*columns, strict=True)]
+    lines += ["", *(f"- {sentence}" for sentence in sentences(shapes))]
+    (RESULTS / "elastic.md").write_text("\n".join(lines) + "\n")
+    print("\n".join(lines))
+    draw(shapes, plotted)
+
+
+def main() -> None:
+    shapes, plotted = {}, {}
+    for name in SHAPES:
+        shapes[name], plotted[name] = compare(name)
+    report(shapes, plotted)
+
+
+if __name__ == "__main__":
+    main()

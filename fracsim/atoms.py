@@ -1,0 +1,105 @@
+"""Atoms: the building blocks of pieces, whatever truth says how these form. Offline only.
+
+Modes bring their own atoms. A truth that cuts its cells freely has none, so its atoms are found in what it does:
+cells that its fractures keep together belong together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from .breaking import Interfaces, components, separated
+from .dataset import Samples, sample_block
+from .errors import BakeError, MissingExtraError
+from .fracture_modes import ATOM_FLOOR
+from .generator import Generator, absorb_all, interfaces_between
+from .solid import Solid, coarsen, join_small, relabel, shared_faces, sums
+
+try:
+    from sklearn.cluster import AgglomerativeClustering
+    from sklearn.random_projection import GaussianRandomProjection
+except ImportError as error:
+    raise MissingExtraError("scikit-learn", "bake") from error
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+OBSERVED = 150  # atoms of a truth that has none of its own
+WATCHED = 2  # blocks of its fractures that they are found in
+DIMENSIONS = 64  # in which fractures are compared
+
+
+@dataclass(frozen=True, eq=False)
+class Atoms:
+    """cells: the fine solid. atom: (C,), the atom of each cell. parts: the atoms, with the surface for outside.
+    interfaces: between them. own: whether the truth's labels speak of these very atoms."""
+
+    cells: Solid
+    atom: IntArray
+    parts: Solid
+    interfaces: Interfaces
+    own: bool
+    crumb_floor: float
+
+    def project(self, samples: Samples) -> Samples:
+        """The samples in terms of atoms: each takes the label that most of its volume has, and an atom cut off from
+        the rest of its piece is a piece of its own."""
+        if self.own:
+            if samples.broken.shape[1]:
+                return samples
+            return replace(samples, broken=separated(samples.labels, self.interfaces.pairs))
+        count = len(self.parts.volumes)
+        labels = samples.labels
+        width = int(labels.max()) + 1
+        votes = np.empty((len(labels), count), dtype=np.int64)
+        for row, label in enumerate(labels):
+            weight = np.bincount(self.atom * width + label, self.cells.volumes, minlength=count * width)
+            votes[row] = weight.reshape(count, width).argmax(axis=1)
+        whole = components(~separated(votes, self.interfaces.pairs), self.interfaces.pairs, count)
+        merged = absorb_all(whole, self.parts.volumes, self.interfaces, self.crumb_floor)
+        return replace(samples, labels=merged, broken=separated(merged, self.interfaces.pairs))
+
+
+def atoms_for(generator: Generator, seed: int, crumb_floor: float) -> Atoms:
+    """The generator's own atoms where its cracks are fixed, or those seen in its first training fractures."""
+    parts = generator.parts
+    if generator.fixed_cracks:
+        cells = getattr(generator, "cells", parts)
+        atom = getattr(generator, "atom", np.arange(len(parts.volumes)))
+        return Atoms(cells, atom, parts, interfaces_between(parts), True, crumb_floor)
+    watched = [sample_block(generator, seed, block) for block in range(WATCHED)]
+    labels = np.concatenate([block.labels[block.split == 0] for block in watched])
+    atom = observed_atoms(parts, labels[labels.any(axis=1)], OBSERVED)
+    blocks = coarsen(relabel(parts, atom), generator.surface)
+    interfaces = interfaces_between(blocks)
+    if len(interfaces) == 0:
+        raise BakeError(f"{generator.surface.name}: no fracture of its truth parts it")
+    return Atoms(parts, atom, blocks, interfaces, False, crumb_floor)
+
+
+def observed_atoms(cells: Solid, labels: IntArray, count: int) -> IntArray:
+    """(C,) about ``count`` connected groups of cells that fractures seldom part.
+
+    labels: (N, C). Ward's clustering among neighbouring cells; two cells are as far apart as the number of fractures
+    that part them, kept up to a few per cent by a random projection.
+    """
+    pairs, areas, _ = shared_faces(cells.triangles, cells.sides, cells.points)
+    total = len(cells.volumes)
+    offset = np.concatenate([[0], np.cumsum(labels.max(axis=1) + 1)])
+    columns = (labels + offset[:-1, None]).T.ravel()  # a column for every piece of every fracture
+    rows = np.repeat(np.arange(total), len(labels))
+    member = sp.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(total, int(offset[-1])))
+    points = GaussianRandomProjection(DIMENSIONS, random_state=0).fit_transform(member)
+    graph = sp.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
+    ward = AgglomerativeClustering(min(count, total), connectivity=graph + graph.T, linkage="ward")
+    group = ward.fit_predict(points).astype(np.int64)
+    volumes = sums(group, cells.volumes, int(group.max()) + 1)
+    ends = np.sort(group[pairs], axis=1)
+    between = ends[:, 0] != ends[:, 1]
+    joints, inverse = np.unique(ends[between], axis=0, return_inverse=True)
+    bond = sums(inverse.reshape(-1), areas[between], len(joints))
+    return join_small(volumes, joints, bond, ATOM_FLOOR * float(volumes.sum()))[group]

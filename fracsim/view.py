@@ -1,0 +1,114 @@
+"""Pictures of fractures, for people. Offline only."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .asset import write_beside
+from .errors import DatasetError, MissingExtraError
+from .sampling import SurfacePoints
+from .solid import surface_parts
+from .storage import Dataset
+
+try:
+    import matplotlib
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+except ImportError as error:
+    raise MissingExtraError("matplotlib", "plot") from error
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+COLUMNS, ROWS = 4, 3
+LIGHT = np.array([0.3, 0.5, 0.81])  # in the frame of the picture: right, up, towards the eye
+
+
+def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
+    """Draw samples of a dataset that break the body: the pieces, and the distance field, each from where it was hit.
+
+    Raises DatasetError when there are none.
+    """
+    with Dataset(path) as dataset:
+        samples = dataset.samples(skip_damaged=True)
+        breaking = np.flatnonzero(samples.labels.any(axis=1))
+        if len(breaking) == 0:
+            raise DatasetError(f"{path}: no sample breaks the body; there is nothing to draw")
+        rng = np.random.default_rng(seed)
+        chosen = np.sort(rng.choice(breaking, min(COLUMNS * ROWS, len(breaking)), replace=False))
+        shown = samples.rows(chosen)
+        vertices, faces = dataset.surface.vertices, dataset.surface.faces
+        pieces = shown.labels[:, surface_parts(dataset.parts, len(vertices))]
+        fields = dataset.fields(shown.labels)[:, : len(vertices)]
+        cap = float(dataset.header["cap"])
+        name = Path(dataset.surface.name).stem
+        kinds = dataset.header["sampling"]["kinds"]
+    points = SurfacePoints(vertices, faces)
+    figure = Figure(figsize=(4.2 * COLUMNS, 2.5 * ROWS), layout="constrained")
+    axes = figure.subplots(ROWS, 2 * COLUMNS, squeeze=False).ravel()
+    for axis in axes:
+        axis.set_axis_off()
+    for k in range(len(chosen)):
+        there = shown.severities[k] > 0
+        where = points.at(shown.faces[k, there], shown.barycentric[k, there])
+        outward = points.normals[shown.faces[k, there]].mean(axis=0)
+        frame = view_frame(outward)
+        left, right = axes[2 * k], axes[2 * k + 1]
+        piece = np.array([np.bincount(row).argmax() for row in pieces[k][faces]])
+        colours = matplotlib.colormaps["tab20"](piece % 20)
+        draw_mesh(left, vertices, faces, colours, frame)
+        draw_mesh(right, vertices, faces, matplotlib.colormaps["viridis"](fields[k][faces].mean(axis=1) / cap), frame)
+        for axis in (left, right):
+            _arrows(axis, where, shown.directions[k, there], frame)
+        left.set_title(
+            f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × threshold, {piece.max() + 1} pieces", fontsize=8
+        )
+        right.set_title("distance to the nearest crack", fontsize=8)
+    figure.suptitle(f"{name}: samples {', '.join(map(str, chosen.tolist()))}", fontsize=9)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=100)
+    write_beside(Path(out), buffer.getvalue())
+
+
+def view_frame(outward: FloatArray) -> FloatArray:
+    """Rows right, up, towards the eye; the eye looks at the struck side, a little aslant, with z up."""
+    up = np.array([0.0, 0.0, 1.0])
+    length = np.linalg.norm(outward)
+    eye = outward / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    side = np.cross(up, eye)
+    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([1.0, 0.0, 0.0])
+    eye = eye + 0.5 * side + 0.35 * up
+    eye /= np.linalg.norm(eye)
+    right = np.cross(up, eye)
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 0.05 else side
+    return np.stack([right, np.cross(eye, right), eye])
+
+
+def draw_mesh(axis: Any, vertices: FloatArray, faces: IntArray, colours: FloatArray, frame: FloatArray) -> None:
+    """Flat shading of a closed mesh: vertices (V, 3), faces (F, 3), colours (F, 3 or 4), frame of the eye (3, 3)."""
+    corner = (vertices @ frame.T)[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
+    seen = np.flatnonzero(normal[:, 2] > 0)
+    seen = seen[np.argsort(corner[seen, :, 2].mean(axis=1))]  # the painter's way: far faces first
+    shade = 0.35 + 0.65 * np.clip(normal[seen] @ LIGHT, 0, 1)
+    colour = np.concatenate([colours[seen, :3] * shade[:, None], np.ones((len(seen), 1))], axis=1)
+    axis.add_collection(
+        PolyCollection(list(corner[seen][:, :, :2]), facecolors=colour, edgecolors=colour, linewidths=0.3)
+    )
+    margin = 0.15 * np.ptp(vertices, axis=0).max()
+    low, high = corner[..., :2].min(axis=(0, 1)) - margin, corner[..., :2].max(axis=(0, 1)) + margin
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+
+
+def _arrows(axis: Any, where: FloatArray, directions: FloatArray, frame: FloatArray) -> None:
+    tip = where @ frame[:2].T
+    tail = (where - 0.2 * directions) @ frame[:2].T
+    for start, end in zip(tail, tip, strict=True):
+        axis.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "red", "lw": 1.5}, zorder=5)
+    axis.plot(*tip.T, "o", color="red", ms=3, zorder=6)
