@@ -14,6 +14,7 @@ from gymnasium.envs.registration import register as _register
 from .errors import (
     AssetError,
     BakeError,
+    DatasetError,
     FieldError,
     FracsimError,
     ImpulseError,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from .physics.world import FractureEvent, World
     from .pieces import Piece
     from .segmentation import segment
+    from .storage import Dataset, make_dataset
 
 __version__ = "0.1.0"
 
@@ -40,6 +42,8 @@ _LAZY = {
     "Fracture": "asset",
     "load": "asset",
     "bake": "baking",
+    "Dataset": "storage",
+    "make_dataset": "storage",
     "Material": "material",
     "Piece": "pieces",
     "segment": "segmentation",
@@ -51,6 +55,8 @@ __all__ = [
     "AssetError",
     "BakeError",
     "BreakableAsset",
+    "Dataset",
+    "DatasetError",
     "FieldError",
     "FracsimError",
     "Fracture",
@@ -67,6 +73,7 @@ __all__ = [
     "World",
     "bake",
     "load",
+    "make_dataset",
     "segment",
 ]
 

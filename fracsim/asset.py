@@ -435,7 +435,10 @@ def write_beside(path: Path, data: bytes) -> None:
     """Write a file under another name in the same folder, then rename it: all of it, or nothing."""
     if not path.parent.is_dir():
         raise AssetError(f"{path}: the folder {path.parent} does not exist")
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be written ({error.strerror})") from error
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)

@@ -68,11 +68,14 @@ def atoms_for(generator: Generator, seed: int, crumb_floor: float) -> Atoms:
     """The generator's own atoms where its cracks are fixed, or those seen in its first training fractures."""
     parts = generator.parts
     if generator.fixed_cracks:
-        cells = getattr(generator, "cells", parts)
-        atom = getattr(generator, "atom", np.arange(len(parts.volumes)))
-        return Atoms(cells, atom, parts, interfaces_between(parts), True, crumb_floor)
+        cells, atom = getattr(generator, "cells", None), getattr(generator, "atom", None)
+        if not (isinstance(cells, Solid) and isinstance(atom, np.ndarray) and len(atom) == len(cells.volumes)):
+            cells, atom = parts, np.arange(len(parts.volumes))
+        return Atoms(cells, np.asarray(atom), parts, interfaces_between(parts), True, crumb_floor)
     watched = [sample_block(generator, seed, block) for block in range(WATCHED)]
     labels = np.concatenate([block.labels[block.split == 0] for block in watched])
+    if not labels.any():
+        raise BakeError(f"{generator.surface.name}: no fracture of its truth parts it")
     atom = observed_atoms(parts, labels[labels.any(axis=1)], OBSERVED)
     blocks = coarsen(relabel(parts, atom), generator.surface)
     interfaces = interfaces_between(blocks)

@@ -17,7 +17,7 @@ from .asset import AssetArrays, BreakableAsset, Truth
 from .atoms import Atoms, atoms_for
 from .convex import clip_apart, decompose, pack
 from .dataset import Samples, sample, sample_block
-from .errors import BakeError
+from .errors import BakeError, MissingExtraError
 from .fracture_modes import impact_field
 from .generator import Generator, ModalGenerator, TruthOptions, make_generator
 from .impulse import Impulse
@@ -32,6 +32,11 @@ from .solid import surface_parts
 from .spectrum import spectrum
 from .train import TrainingOptions, train_field
 from .udf import CAP, CurveDistances, interface_distances
+
+try:
+    from threadpoolctl import threadpool_limits
+except ImportError as error:
+    raise MissingExtraError("threadpoolctl", "bake") from error
 
 if TYPE_CHECKING:
     import trimesh
@@ -90,7 +95,7 @@ def bake(
     """
     options = options or BakeOptions()
     chosen = as_material(material)
-    with Stages(progress) as stage:
+    with threadpool_limits(1), Stages(progress) as stage:  # sums in one order, whatever the machine
         stage("validate")
         surface = refine(read_surface(source))
         if generator is None:

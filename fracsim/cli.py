@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bake.add_argument("--out", type=Path, help="the asset to write (default: the mesh's name with .frac)")
     bake.add_argument("--material", default="ceramic", help="glass, ceramic, plaster, stone or ice")
     bake.add_argument("--seed", type=int, default=0)
-    bake.add_argument("--truth", default="modal", help="what it learns from: modal (default), radial or elastic")
+    bake.add_argument("--truth", default="modal", help="what it learns from: modal (default), elastic or radial")
     bake.add_argument("--cells", type=int, default=5000, help="of the solid that is cut up")
     bake.add_argument("--modes", type=int, default=20, help="fracture modes")
     bake.add_argument("--samples", type=int, default=50000, help="impulses to learn from and be tested on")
@@ -52,13 +52,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make = actions.add_parser("make", help="make a dataset, go on with one, or mend one")
     make.add_argument("mesh", type=Path, nargs="?", help="a watertight mesh; not needed with --like")
     make.add_argument("--out", type=Path, help="the file (default: the mesh's name with .h5)")
-    make.add_argument("--samples", type=int, default=1000, help="that the file shall hold in the end")
+    make.add_argument("--samples", type=int, help="that the file shall hold in the end (default: 1000)")
     make.add_argument("--append", type=int, metavar="N", help="instead: so many more than it holds")
     make.add_argument("--like", type=Path, metavar="FILE", help="make that dataset again from its own header")
-    make.add_argument("--seed", type=int, default=0)
-    make.add_argument("--truth", default="modal", help="modal (default), radial or elastic")
-    make.add_argument("--cells", type=int, default=5000, help="of the solid that is cut up")
-    make.add_argument("--modes", type=int, default=20, help="fracture modes, of the modal truth")
+    make.add_argument("--seed", type=int, help="default: 0")
+    make.add_argument("--truth", help="modal (default), elastic or radial")
+    make.add_argument("--cells", type=int, help="of the solid that is cut up (default: 5000)")
+    make.add_argument("--modes", type=int, help="fracture modes, of the modal and elastic truths (default: 20)")
     make.add_argument("--workers", type=int, default=1, help="processes")
     make.add_argument("--backend", default="joblib", help="joblib, on this machine, or ray, on a cluster")
     make.add_argument("--quiet", action="store_true", help="no progress bars")
@@ -89,7 +89,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         kept = (
-            "what is done is kept; the same command goes on" if options.command == "dataset" else "nothing was written"
+            "finished blocks of samples are kept; ask for the total with --samples to go on"
+            if options.command == "dataset"
+            else "nothing was written"
         )
         print(f"fracsim: interrupted; {kept}", file=sys.stderr)
         return 130
@@ -135,17 +137,22 @@ def _dataset_make(options: argparse.Namespace) -> dict[str, Any]:
     out = options.out or Path((options.mesh or options.like).stem + (".h5" if options.mesh else "_again.h5"))
     progress = not options.quiet
     if options.like is not None:
+        for name in ("samples", "append", "seed", "truth", "cells", "modes"):
+            if getattr(options, name) is not None:
+                raise DatasetError(f"--{name} cannot be given with --like, whose header says it")
         seconds = regenerate(options.like, out, options.workers, options.backend, progress)
     else:
-        surface = refine(read_surface(options.mesh))
-        truth = TruthOptions(options.truth, options.cells, options.modes)
-        total = options.samples
+        given = {name: getattr(options, name) for name in ("truth", "cells", "modes")}
+        truth = TruthOptions(**{name: value for name, value in given.items() if value is not None})
+        total = 1000 if options.samples is None else options.samples
         if options.append is not None:
+            if options.samples is not None or options.append < 1:
+                raise DatasetError("--append takes a number of at least 1, and no --samples beside it")
             with Dataset(out) as there:
-                total = len(there) + options.append
-        seconds = make_dataset(
-            out, surface, total, options.seed, truth, None, options.workers, options.backend, progress
-        )
+                total = there.held + options.append
+        surface = refine(read_surface(options.mesh))
+        seed = options.seed or 0
+        seconds = make_dataset(out, surface, total, seed, truth, None, options.workers, options.backend, progress)
     figures = _describe(out)
     figures["seconds"] = {**seconds, "total": time.perf_counter() - begin}
     # Linux counts in KiB. Of this process and of the largest of its workers.
@@ -160,6 +167,8 @@ def _dataset_info(options: argparse.Namespace) -> dict[str, Any]:
     from .view import picture_sheet
 
     out = options.out or options.dataset.with_suffix(".png")
+    if options.dataset.resolve() in (out.resolve(), options.json and options.json.resolve()):
+        raise DatasetError(f"{options.dataset}: would be overwritten; name another file with --out or --json")
     figures = _describe(options.dataset)
     header = figures["header"]
     truth = ", ".join(f"{key} {value}" for key, value in header["truth"].items())
@@ -167,8 +176,9 @@ def _dataset_info(options: argparse.Namespace) -> dict[str, Any]:
     _print_figures(figures)
     for name in figures["damaged"]:
         print(f"  DAMAGED {name}")
-    picture_sheet(options.dataset, out, options.seed)
-    print(f"{out}: some of its samples")
+    if figures["pieces"]["breaking"]:
+        picture_sheet(options.dataset, out, abs(options.seed))
+        print(f"{out}: some of its samples")
     return figures
 
 
@@ -180,27 +190,32 @@ def _describe(path: Path) -> dict[str, Any]:
 
     with Dataset(path) as dataset:
         damaged = [name for _, name in dataset.damage()]
-        samples = dataset.samples(skip_damaged=True)
-        pieces = samples.labels.max(axis=1, initial=0) + 1
-        broken = pieces > 1
+        splits, kinds = np.zeros(3, dtype=np.int64), np.zeros(len(KINDS), dtype=np.int64)
+        pieces: list[Any] = []
+        for block in dataset.blocks(skip_damaged=True):
+            splits += np.bincount(block.split, minlength=3)
+            kinds += np.bincount(block.kind, minlength=len(KINDS))
+            pieces.append(block.labels.max(axis=1, initial=0) + 1)
+        count = np.concatenate([np.zeros(0, dtype=np.int64), *pieces])
+        broken = count > 1
         return {
             "header": dataset.header,
             "mesh": dataset.surface.name,
             "damaged": damaged,
             "counts": {
-                "samples": len(samples),
+                "samples": len(count),
                 "damaged_chunks": len(damaged),
                 "vertices": len(dataset.surface.vertices),
                 "parts": len(dataset.parts.volumes),
                 "interfaces": len(dataset.file["interfaces/pairs"]),
                 "links": len(dataset.links),
             },
-            "splits": {name: int((samples.split == k).sum()) for k, name in enumerate(("train", "validation", "test"))},
-            "kinds": {name: int((samples.kind == k).sum()) for k, name in enumerate(KINDS)},
+            "splits": dict(zip(("train", "validation", "test"), splits.tolist(), strict=True)),
+            "kinds": dict(zip(KINDS, kinds.tolist(), strict=True)),
             "pieces": {
                 "breaking": int(broken.sum()),
-                "median": float(np.median(pieces[broken])) if broken.any() else 0.0,
-                "most": int(pieces.max(initial=0)),
+                "median": float(np.median(count[broken])) if broken.any() else 0.0,
+                "most": int(count.max(initial=0)),
             },
         }
 

@@ -7,6 +7,7 @@ any number of sittings, is the beginning of one and the same sequence. ``storage
 from __future__ import annotations
 
 import collections
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from .errors import DatasetError, MissingExtraError
-from .generator import Blows, Generator
+from .generator import Blows, Generator, Response
 from .mesh import Surface
 from .sampling import CONE, SEVERITY, SurfacePoints, cone
 
@@ -97,6 +98,8 @@ def sample(
     severity log-uniform about the threshold; none is rejected, those that break nothing included.
 
     transform: applied to every block before they are joined."""
+    if count < 1 or seed < 0:
+        raise DatasetError(f"a count of samples must be at least 1 and a seed at least 0, got {count} and {seed}")
     blocks = []
     for block in run_blocks(sample_block, generator, seed, list(range(-(-count // BLOCK))), workers, backend):
         blocks.append(transform(block))
@@ -114,21 +117,29 @@ def run_blocks(
 ) -> Iterator[Result]:
     """``job(generator, seed, block)`` for every block, in order, whoever does it.
 
-    workers: processes. backend: "joblib", on this machine, or "ray", on whatever cluster ray is connected to, where
-    the block of a node that dies is made again by another. The bits are the same.
+    workers: processes. backend: "joblib", on this machine, or "ray", on the cluster that ray is connected to or that
+    the environment's RAY_ADDRESS names, or else on this machine; the block of a node that dies is made again by
+    another. The bits are the same.
     """
-    if backend not in ("joblib", "ray"):
-        raise DatasetError(f"unknown backend {backend!r}; use joblib or ray")
-    if workers < 1:
-        raise DatasetError(f"workers must be at least 1, got {workers}")
+    check_workers(workers, backend)
     if backend == "ray":
         yield from _on_ray(job, generator, seed, blocks, workers)
     elif workers == 1:
         for block in blocks:
             yield job(generator, seed, block)
     else:
-        parallel = joblib.Parallel(n_jobs=workers, return_as="generator", batch_size=1)
-        yield from parallel(joblib.delayed(job)(generator, seed, block) for block in blocks)
+        # In windows, so that no more than these wait in memory for whoever takes the results.
+        with joblib.Parallel(n_jobs=workers, return_as="generator", batch_size=1) as parallel:
+            for start in range(0, len(blocks), 4 * workers):
+                window = blocks[start : start + 4 * workers]
+                yield from parallel(joblib.delayed(job)(generator, seed, block) for block in window)
+
+
+def check_workers(workers: int, backend: str) -> None:
+    if backend not in ("joblib", "ray"):
+        raise DatasetError(f"unknown backend {backend!r}; use joblib or ray")
+    if workers < 1:
+        raise DatasetError(f"workers must be at least 1, got {workers}")
 
 
 def _on_ray(
@@ -139,7 +150,8 @@ def _on_ray(
     except ImportError as error:
         raise MissingExtraError("ray", "ray") from error
     if not ray.is_initialized():
-        ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False, configure_logging=False)
+        address, count = (None, None) if "RAY_ADDRESS" in os.environ else ("local", workers)
+        ray.init(address, num_cpus=count, log_to_driver=False, configure_logging=False)
     remote = ray.remote(max_retries=-1)(job)
     shared = ray.put(generator)
     # Twice as many under way as there are workers: enough to keep them busy, few enough to fit any memory.
@@ -158,8 +170,9 @@ def sample_block(generator: Generator, seed: int, block: int) -> Samples:
     with threadpool_limits(1):  # sums in one order, whatever the machine
         shares, kind = draw_blows(generator.surface, BLOCK, rng)
         ratio = np.exp(rng.uniform(np.log(SEVERITY[0]), np.log(SEVERITY[1]), BLOCK))
-        blows = shares.times(ratio * generator.thresholds(shares))
-        response = generator.fracture(blows)
+        thresholds = generator.thresholds(shares)
+        blows = shares.times(ratio * thresholds)
+        response = checked(generator, blows, thresholds, generator.fracture(blows))
     broken = response.broken
     split, fold = np.zeros(BLOCK, dtype=np.int64), np.full(BLOCK, -1)
     order = rng.permutation(BLOCK)
@@ -181,12 +194,31 @@ def sample_block(generator: Generator, seed: int, block: int) -> Samples:
     )
 
 
+def checked(generator: Generator, blows: Blows, thresholds: FloatArray, response: Response) -> Response:
+    """The response, if a generator of whatever origin answered as it should; DatasetError says what is wrong."""
+    name, count, parts = type(generator).__name__, len(blows), len(generator.parts.volumes)
+    if np.shape(thresholds) != (count,) or not (np.isfinite(thresholds).all() and (np.asarray(thresholds) > 0).all()):
+        raise DatasetError(f"{name}: thresholds must be ({count},), finite and positive")
+    labels = np.asarray(response.labels)
+    if labels.shape != (count, parts) or labels.dtype.kind not in "iu":
+        raise DatasetError(
+            f"{name}: labels must be integers of shape ({count}, {parts}), got {labels.dtype} of {labels.shape}"
+        )
+    if labels.min(initial=0) < 0 or labels.max(initial=0) >= parts:
+        raise DatasetError(f"{name}: labels must lie in 0 to {parts - 1}")
+    broken = response.broken
+    if broken is not None and (broken.dtype != bool or broken.ndim != 2 or len(broken) != count):
+        raise DatasetError(f"{name}: broken must be booleans of shape ({count}, interfaces), or None")
+    return Response(labels.astype(np.int64, copy=False), broken)
+
+
 def draw_blows(surface: Surface, count: int, rng: np.random.Generator) -> tuple[Blows, IntArray]:
     """Blows whose severities add up to 1, and their kinds (N,).
 
-    Single and scattered contacts are uniform over the area, in a cone about the inward normal. A landing is on a flat
-    floor: the lowest points along a random way down. A ring is the end of a tube: points around a circle. Both push
-    one way, within TILT. A grip is two opposite points pushed towards each other, equally hard.
+    Single and scattered contacts are uniform over the area, in a cone about the inward normal. The others choose
+    among POOL points of the surface, one pool for all the blows: a landing is on a flat floor, at the lowest points
+    along a random way down that face it. A ring is the end of a tube: points around a circle. Both push
+    one way, within TILT. A grip is two opposite points pushed towards each other, within TILT and equally hard.
     """
     points = SurfacePoints(surface.vertices, surface.faces)
     kind = np.where(rng.random(count) < SEVERAL, rng.integers(1, len(KINDS), count), 0)
@@ -205,7 +237,8 @@ def draw_blows(surface: Surface, count: int, rng: np.random.Generator) -> tuple[
     if landing.any():
         up = rng.standard_normal((int(landing.sum()), 3))
         up /= np.linalg.norm(up, axis=1)[:, None]
-        lowest = np.argpartition(up @ pool.T, 4 * CONTACTS, axis=1)[:, : 4 * CONTACTS]
+        height = up @ pool.T + 10.0 * (up @ normal.T > -0.2)  # what faces away from the floor does not touch it
+        lowest = np.argpartition(height, 4 * CONTACTS, axis=1)[:, : 4 * CONTACTS]
         chosen = np.take_along_axis(lowest, rng.permuted(np.tile(np.arange(4 * CONTACTS), (len(up), 1)), axis=1), 1)
         chosen = chosen[:, :CONTACTS]
         face[landing], bary[landing] = pool_face[chosen], pool_bary[chosen]
@@ -221,8 +254,15 @@ def draw_blows(surface: Surface, count: int, rng: np.random.Generator) -> tuple[
         side /= np.linalg.norm(side, axis=1)[:, None]
         turn = 2 * np.pi * np.arange(CONTACTS) / contacts[ring, None]
         around = np.cos(turn)[:, :, None] * side[:, None] + np.sin(turn)[:, :, None] * np.cross(axis, side)[:, None]
-        _, chosen = cKDTree(pool).query(centre[:, None] + radius[:, None, None] * around)
-        face[ring], bary[ring] = pool_face[chosen], pool_bary[chosen]
+        target = centre[:, None] + radius[:, None, None] * around
+        _, near = cKDTree(pool).query(target, k=64)
+        facing = np.einsum("rkni,ri->rkn", normal[near], axis) < -0.2
+        first = np.argmax(facing, axis=2)
+        chosen = np.take_along_axis(near, first[:, :, None], axis=2)[:, :, 0]
+        # Where nothing near faces the tube, the contact is at its centre, which does.
+        there = np.take_along_axis(facing, first[:, :, None], axis=2)
+        face[ring] = np.where(there[:, :, 0], pool_face[chosen], face[ring][:, :1])
+        bary[ring] = np.where(there, pool_bary[chosen], bary[ring][:, :1])
         directions[ring] = cone(np.repeat(axis, CONTACTS, axis=0), TILT, rng).reshape(-1, CONTACTS, 3)
 
     grip = kind == KINDS.index("grip")
@@ -236,7 +276,7 @@ def draw_blows(surface: Surface, count: int, rng: np.random.Generator) -> tuple[
         # The nearest point of the far side that is close to the line through the body.
         chosen = np.argmin(beside + 0.2 * along + 10.0 * ((along <= 0) | ~facing), axis=1)
         face[grip, 1], bary[grip, 1] = pool_face[chosen], pool_bary[chosen]
-        directions[grip, 0], directions[grip, 1] = inward, -inward
+        directions[grip, 0], directions[grip, 1] = cone(inward, TILT, rng), cone(-inward, TILT, rng)
         share[grip, :2] = 1.0
 
     share /= share.sum(axis=1, keepdims=True)

@@ -32,10 +32,10 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from .breaking import Interfaces, components, effective, weakest_cut
+from .breaking import Interfaces, effective
 from .errors import BakeError, MissingExtraError
 from .fracture_modes import PATCH_RADIUS
-from .generator import Blows, ModalGenerator, Response, absorb_all
+from .generator import Blows, ModalGenerator, Response, fall_apart, just_parting
 from .mesh import Surface
 from .sampling import CONE, SurfacePoints, cone
 from .solid import Solid, sums
@@ -362,12 +362,10 @@ class ElasticGenerator:
         return effective(self.tractions(blows), self.interfaces.normals)
 
     def thresholds(self, blows: Blows) -> FloatArray:
-        return 1.0 / weakest_cut(self.drives(blows), self.interfaces.pairs, len(self.parts.volumes))
+        return just_parting(self.drives(blows), self.parts, self.interfaces)
 
     def fracture(self, blows: Blows) -> Response:
-        broken = self.drives(blows) >= 1.0
-        labels = components(~broken, self.interfaces.pairs, len(self.parts.volumes))
-        return Response(absorb_all(labels, self.parts.volumes, self.interfaces, self.crumb_floor), broken)
+        return fall_apart(self.drives(blows), self.parts, self.interfaces, self.crumb_floor)
 
 
 def elastic_generator(

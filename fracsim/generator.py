@@ -15,11 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from .breaking import Interfaces, absorb_crumbs, components, drives, weakest_cut
-from .errors import BakeError
+from .errors import BakeError, MissingExtraError
 from .fracture_modes import Modes, atoms, fracture_modes, impact_field
 from .mesh import Surface
 from .sampling import SurfacePoints
 from .solid import Solid, coarsen, cut_lattice, relabel, shared_faces
+
+try:
+    from threadpoolctl import threadpool_limits
+except ImportError as error:
+    raise MissingExtraError("threadpoolctl", "bake") from error
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -68,6 +73,8 @@ class Generator(Protocol):
     surface: of largest extent 1, with V vertices. parts: P parts whose outside is that surface exactly; labels
     speak of them, and cracks run where they meet. fixed_cracks: whether the parts are so few that distances to
     each of their interfaces are worth keeping (pieces are unions of few parts, not free shapes among many).
+    A generator of fixed cracks may also have ``cells``, a finer Solid, and ``atom``, the part of each of its cells;
+    baking then sees the body through them.
     """
 
     @property
@@ -112,12 +119,10 @@ class ModalGenerator:
         return drives(field, blows.directions, blows.severities, self.interfaces)
 
     def thresholds(self, blows: Blows) -> FloatArray:
-        return 1.0 / weakest_cut(self.drives(blows), self.interfaces.pairs, len(self.parts.volumes))
+        return just_parting(self.drives(blows), self.parts, self.interfaces)
 
     def fracture(self, blows: Blows) -> Response:
-        broken = self.drives(blows) >= 1.0
-        labels = components(~broken, self.interfaces.pairs, len(self.parts.volumes))
-        return Response(absorb_all(labels, self.parts.volumes, self.interfaces, self.crumb_floor), broken)
+        return fall_apart(self.drives(blows), self.parts, self.interfaces, self.crumb_floor)
 
 
 def modal_generator(
@@ -168,6 +173,18 @@ def interfaces_between(parts: Solid) -> Interfaces:
     return Interfaces(pairs, areas, normals, projected)
 
 
+def just_parting(drives: FloatArray, parts: Solid, interfaces: Interfaces) -> FloatArray:
+    """(N,) the factors on drives (N, I) at which the parts first fall apart."""
+    return 1.0 / weakest_cut(drives, interfaces.pairs, len(parts.volumes))
+
+
+def fall_apart(drives: FloatArray, parts: Solid, interfaces: Interfaces, crumb_floor: float) -> Response:
+    """What is left when interfaces driven by 1 or more give way: drives (N, I)."""
+    broken = drives >= 1.0
+    labels = components(~broken, interfaces.pairs, len(parts.volumes))
+    return Response(absorb_all(labels, parts.volumes, interfaces, crumb_floor), broken)
+
+
 def absorb_all(labels: IntArray, volumes: FloatArray, interfaces: Interfaces, floor: float) -> IntArray:
     """``breaking.absorb_crumbs`` over the rows of labels (N, P)."""
     share = volumes / volumes.sum()
@@ -193,9 +210,11 @@ class TruthOptions:
     def __post_init__(self) -> None:
         if self.truth not in TRUTHS:
             raise BakeError(f"unknown truth {self.truth!r}; use {' or '.join(TRUTHS)}")
-        for name, least in (("cells", 50), ("modes", 0), ("crumb_floor", 0.0)):
-            if not getattr(self, name) >= least:
-                raise BakeError(f"{name} must be at least {least}, got {getattr(self, name)}")
+        for name, least in (("cells", 50), ("modes", 0)):
+            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= least):
+                raise BakeError(f"{name} must be a whole number and at least {least}, got {getattr(self, name)}")
+        if not 0.0 <= self.crumb_floor < 1.0:
+            raise BakeError(f"crumb_floor must be at least 0 and below 1, got {self.crumb_floor}")
 
 
 def make_generator(
@@ -206,13 +225,16 @@ def make_generator(
 ) -> Generator:
     """The truth of a surface, the same for the same seed (the elastic one but nearly so: fTetWild, which makes its
     mesh, does not repeat itself). Raises BakeError when the surface cannot be cut up."""
+    if seed < 0:
+        raise BakeError(f"a seed must be at least 0, got {seed}")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-    if options.truth == "radial":
-        from .radial import radial_generator
+    with threadpool_limits(1):  # sums in one order, whatever the machine
+        if options.truth == "radial":
+            from .radial import radial_generator
 
-        progress("solid", 0.0)
-        return radial_generator(surface, rng, options.cells, options.crumb_floor)
-    modal = modal_generator(surface, rng, options.cells, options.modes, options.crumb_floor, progress)
+            progress("solid", 0.0)
+            return radial_generator(surface, rng, options.cells, options.crumb_floor)
+        modal = modal_generator(surface, rng, options.cells, options.modes, options.crumb_floor, progress)
     if options.truth == "elastic":
         from .elastic import elastic_generator
 

@@ -7,12 +7,15 @@ process may read it meanwhile, and whatever stops the writer, the finished block
 
 from __future__ import annotations
 
+import fcntl
 import json
+import operator
 import os
-import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,10 +29,15 @@ from .dataset import (
     CONTACTS,
     FOLDS,
     KINDS,
+    POOL,
+    RING,
     SEVERAL,
     TEST,
+    TILT,
     VALIDATION,
     Samples,
+    check_workers,
+    checked,
     draw_blows,
     run_blocks,
     sample_block,
@@ -54,36 +62,42 @@ IntArray = npt.NDArray[np.int64]
 
 FORMAT = "fracsim dataset"
 VERSION = 1
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError)  # what h5py raises on damage
 
 
 class Dataset:
-    """A dataset file, open for reading, possibly while another process writes it.
+    """A dataset file, open for reading, possibly while another process writes it (if it did when this was opened, the
+    file may be seen to grow; otherwise open it anew to see more).
 
-    header: what made it. surface, parts: what it is about. generator: the truth itself, or None where it was one of
-    the user's own, which no file can hold. links: (L, 2) vertices that face each other through a thin wall.
-    Raises DatasetError, naming the file and the fault.
+    header: what made it. surface, parts: what it is about. links: (L, 2) vertices that face each other through a thin
+    wall. Raises DatasetError, naming the file and the fault.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.file = _open(self.path)
         try:
-            header = json.loads(self.file.attrs["header"])
-            self.header: dict[str, Any] = header
-            surface = self.file["surface"]
-            self.surface = Surface(
-                _read(surface["vertices"], self.path),
-                _read(surface["faces"], self.path).astype(np.int64),
-                float(surface.attrs["scale"]),
-                np.array(surface.attrs["offset"], dtype=np.float64),
-                str(surface.attrs["name"]),
-            )
-            self.links = _read(self.file["links"], self.path).astype(np.int64)
-            self.parts = _load_solid(self.file["parts"], self.path)
-            self.generator = self._generator()
-        except (KeyError, ValueError, TypeError) as error:
+            with _typed(self.path):
+                header = json.loads(self.file.attrs["header"])
+                self.header: dict[str, Any] = header
+                self.block = int(header["sampling"]["block"])
+                surface = self.file["surface"]
+                self.surface = Surface(
+                    surface["vertices"][()],
+                    surface["faces"][()].astype(np.int64),
+                    float(surface.attrs["scale"]),
+                    np.array(surface.attrs["offset"], dtype=np.float64),
+                    str(surface.attrs["name"]),
+                )
+                self.links = self.file["links"][()].astype(np.int64)
+                self.parts = _load_solid(self.file["parts"])
+                self.names = tuple(self.file["samples"])
+                if set(self.names) != {field.name for field in fields(Samples)}:
+                    raise ValueError("its samples are not of this version")
+        except BaseException:
             self.file.close()
-            raise DatasetError(f"{self.path}: not a complete fracsim dataset ({error})") from error
+            raise
 
     def __enter__(self) -> Dataset:
         return self
@@ -101,18 +115,56 @@ class Dataset:
     @property
     def complete(self) -> IntArray:
         """(B,) how many rows of each block are there; refreshed from the file, which may be growing."""
-        blocks = self.file["complete"]
-        blocks.id.refresh()
-        return _read(blocks, self.path).astype(np.int64)
+        with _typed(self.path):
+            blocks = self.file["complete"]
+            blocks.id.refresh()
+            return np.asarray(blocks[()], dtype=np.int64)
+
+    @property
+    def held(self) -> int:
+        """Samples up to the last that is there, blocks missing before it included."""
+        complete = self.complete
+        return max((block * self.block + int(count) for block, count in enumerate(complete) if count), default=0)
+
+    @cached_property
+    def generator(self) -> Generator | None:
+        """The truth itself, or None where it was one of the user's own, which no file can hold."""
+        truth = self.header["truth"]
+        with _typed(self.path):
+            if truth["truth"] not in TRUTHS:
+                return None
+            floor = float(truth["crumb_floor"])
+            if truth["truth"] == "radial":
+                return RadialGenerator(self.surface, self.parts, floor)
+            group, joints = self.file["atoms"], self.file["interfaces"]
+            cells, atom = _load_solid(group["cells"]), group["atom"][()].astype(np.int64)
+            rows = group["rows"][()].astype(np.float64)
+            interfaces = Interfaces(
+                joints["pairs"][()].astype(np.int64), *(joints[name][()] for name in ("areas", "normals", "projected"))
+            )
+            if truth["truth"] == "elastic":
+                from .elastic import ElasticGenerator
+
+                gauge = float(group.attrs["gauge"])
+                return ElasticGenerator(self.surface, self.parts, interfaces, rows, gauge, floor, cells, atom)
+            energies = tuple(tuple(energies) for energies in json.loads(group.attrs["energies"]))
+            return ModalGenerator(self.surface, cells, atom, self.parts, interfaces, rows, floor, energies)
 
     def samples(self, skip_damaged: bool = False) -> Samples:
         """All samples, in order. A damaged chunk raises DatasetError by name, or is skipped with the rest of its
         block."""
-        good = [block for block, count in enumerate(self.complete) if count]
-        if skip_damaged:
-            bad = {block for block, _ in self.damage()}
-            good = [block for block in good if block not in bad]
-        return Samples.join([self._block(block) for block in good]) if good else _no_samples(self)
+        blocks = list(self.blocks(skip_damaged))
+        return Samples.join(blocks) if blocks else self._rows(0, 0)
+
+    def blocks(self, skip_damaged: bool = False) -> Iterator[Samples]:
+        """The same block by block, for files larger than memory."""
+        for block, count in enumerate(self.complete.tolist()):
+            if count:
+                try:
+                    yield self._rows(block * self.block, block * self.block + count)
+                except DatasetError:
+                    if not skip_damaged:
+                        raise
 
     def fields(self, labels: IntArray) -> npt.NDArray[np.float32]:
         """(N, V + E), in units of the largest extent: geodesic distance to the nearest crack at the vertices and
@@ -120,70 +172,56 @@ class Dataset:
 
         Where cracks are fixed, the least of the stored distances to the interfaces that part pieces; else by fast
         marching, some 10 ms each."""
-        if "distances" not in self.file["interfaces"]:
+        with _typed(self.path):
+            joints = self.file["interfaces"]
+            pairs = joints["pairs"][()]
+            distances = joints["distances"][()] if "distances" in joints else None
+        if distances is None:
             curves = CurveDistances(self.parts, self.surface)
             return np.array([curves.between(row) for row in labels], dtype=np.float32)
-        pairs = _read(self.file["interfaces/pairs"], self.path)
-        distances = _read(self.file["interfaces/distances"], self.path)
         parted = labels[:, pairs[:, 0]] != labels[:, pairs[:, 1]]
-        return np.array([field_from_scores(row.astype(np.float64), distances, CAP) for row in parted], dtype=np.float32)
+        cap = float(self.header["cap"])
+        return np.array([field_from_scores(row.astype(np.float64), distances, cap) for row in parted], dtype=np.float32)
 
     def damage(self) -> list[tuple[int, str]]:
-        """Blocks that cannot be read, and the chunk's name in each."""
-        found = []
-        for block, count in enumerate(self.complete):
-            for name, data in self.file["samples"].items():
+        """What cannot be read: blocks and the chunk's name in each; block -1 is not of the samples, and cannot be
+        mended."""
+        found: list[tuple[int, str]] = []
+
+        def look(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset) and not name.startswith(("samples/", "complete")):
                 try:
+                    item[()]
+                except UNREADABLE:
+                    found.append((-1, f"/{name}"))
+
+        with _typed(self.path):
+            self.file.visititems(look)
+        for block, count in enumerate(self.complete.tolist()):
+            for name in self.names:
+                start = block * self.block
+                try:
+                    data = self.file["samples"][name]
                     data.id.refresh()
-                    data[block * BLOCK : block * BLOCK + count]
-                except OSError:
-                    found.append((block, f"/samples/{name}, rows {block * BLOCK} to {block * BLOCK + count - 1}"))
+                    data[start : start + count]
+                except UNREADABLE:
+                    found.append((block, f"/samples/{name}, rows {start} to {start + count - 1}"))
         return found
 
-    def _block(self, block: int) -> Samples:
-        count = int(self.complete[block])
-        rows = slice(block * BLOCK, block * BLOCK + count)
+    def _rows(self, start: int, stop: int) -> Samples:
         values = {}
-        for name in (field.name for field in fields(Samples)):
-            data = self.file["samples"][name]
-            data.id.refresh()
-            try:
-                value = data[rows]
-            except OSError as error:
-                raise DatasetError(
-                    f"{self.path}: the chunk of /samples/{name}, rows {rows.start} to {rows.stop - 1}, is damaged; "
-                    "the rest can be read with skip_damaged, and making the dataset again with the same options "
-                    "mends it"
-                ) from error
-            if name == "broken":
-                value = np.unpackbits(value, axis=1, count=int(data.attrs["width"])).astype(bool)
-            elif np.issubdtype(value.dtype, np.integer):
-                value = value.astype(np.int64)
-            values[name] = value
+        for name in self.names:
+            where = f"the chunk of /samples/{name}, rows {start} to {stop - 1}, is damaged"
+            with _typed(self.path, where, "the rest can be read with skip_damaged, and making it again mends it"):
+                data = self.file["samples"][name]
+                data.id.refresh()
+                value = data[start:stop]
+                if name == "broken":
+                    value = np.unpackbits(value, axis=1, count=int(data.attrs["width"])).astype(bool)
+                elif np.issubdtype(value.dtype, np.integer):
+                    value = value.astype(np.int64)
+                values[name] = value
         return Samples(**values)
-
-    def _generator(self) -> Generator | None:
-        floor = float(self.header["truth"].get("crumb_floor", 0.0))
-        kind = self.header["truth"]["truth"]
-        if kind == "radial":
-            return RadialGenerator(self.surface, self.parts, floor)
-        if kind not in ("modal", "elastic"):
-            return None
-        group = self.file["atoms"]
-        joints = self.file["interfaces"]
-        cells, atom = _load_solid(group["cells"], self.path), _read(group["atom"], self.path).astype(np.int64)
-        rows = _read(group["rows"], self.path).astype(np.float64)
-        interfaces = Interfaces(
-            _read(joints["pairs"], self.path).astype(np.int64),
-            *(_read(joints[name], self.path) for name in ("areas", "normals", "projected")),
-        )
-        if kind == "elastic":
-            from .elastic import ElasticGenerator
-
-            gauge = float(group.attrs["gauge"])
-            return ElasticGenerator(self.surface, self.parts, interfaces, rows, gauge, floor, cells, atom)
-        energies = tuple(tuple(energies) for energies in json.loads(group.attrs["energies"]))
-        return ModalGenerator(self.surface, cells, atom, self.parts, interfaces, rows, floor, energies)
 
 
 def make_dataset(
@@ -197,38 +235,58 @@ def make_dataset(
     backend: str = "joblib",
     progress: bool = False,
 ) -> dict[str, float]:
-    """Make a dataset of ``total`` samples, or bring the one that is there to it; what is there already stays.
+    """Make a dataset of ``total`` samples, or bring the one that is there to at least as many; what is there stays.
 
-    options say which truth to build; generator is one of the user's own instead. An interrupted file is taken up
-    where it was left and damaged blocks are made again. Returns the seconds of each stage. Raises DatasetError when
-    the file is something else, or was made of another surface, of other options or from another seed.
+    options say which truth to build; generator is one of the user's own instead, to be passed again to go on. An
+    interrupted file is taken up where it was left and damaged blocks are made again. Returns the seconds of each
+    stage. Raises DatasetError when the file is something else, was made of another surface, of other options or from
+    another seed, or is being written by another process.
     """
     path = Path(path)
+    try:
+        total, seed = operator.index(total), operator.index(seed)
+    except TypeError as error:
+        raise DatasetError(f"{path}: the number of samples and the seed must be integers") from error
     if total < 1:
         raise DatasetError(f"{path}: the number of samples must be at least 1, got {total}")
     if seed < 0:
         raise DatasetError(f"{path}: a seed must be at least 0, got {seed}")
+    check_workers(workers, backend)
     if not path.absolute().parent.is_dir():
         raise DatasetError(f"{path}: the folder {path.parent} does not exist; create it first")
     options = options or TruthOptions()
-    with Stages(progress) as stage:
+    with _alone(path), Stages(progress) as stage:
         if path.exists():
             stage("check")
             with Dataset(path) as there:
-                own = there.header["truth"]["truth"]
-                if generator is None and own not in TRUTHS:
-                    raise DatasetError(f"{path}: its truth was one of your own ({own}); pass that generator to go on")
+                truth = there.header["truth"]
+                if generator is None and truth["truth"] not in TRUTHS:
+                    raise DatasetError(
+                        f"{path}: its truth was one of your own ({truth.get('class')}); pass that generator to go on"
+                    )
                 _same(there, surface, seed, asdict(options) if generator is None else _named(generator))
-                generator = generator or there.generator
-                damaged = bool(there.damage())
-            if damaged or not _clean(path):
+                if generator is None:
+                    generator = there.generator
+                elif not np.array_equal(generator.parts.volumes, there.parts.volumes):
+                    raise DatasetError(f"{path}: was made by a generator with other parts; name a new file")
+                total = max(total, there.held)
+                damage = there.damage()
+            for block, name in damage:
+                if block < 0:
+                    raise DatasetError(f"{path}: {name} is damaged, which cannot be mended; name a new file")
+            if damage or _flagged(path):
                 _salvage(path)
         else:
             truth = asdict(options) if generator is None else _named(generator)
-            generator = generator or make_generator(surface, options, seed, stage)
+            if generator is None:
+                generator = make_generator(surface, options, seed, stage)
             _create(path, surface, generator, seed, truth, stage)
         stage("samples")
-        with _write(path) as file:
+        if generator is None:
+            raise DatasetError(f"{path}: holds no generator to go on with")
+        with _writing(path):  # no lock of HDF5's: there is ours, and readers must not keep a writer out
+            file = h5py.File(path, "r+", libver="latest", locking=False)
+        try:
             known = file["complete"][:]
             blocks = -(-total // BLOCK)
             present = np.zeros(blocks, dtype=np.int64)
@@ -236,11 +294,14 @@ def make_dataset(
             wanted = np.minimum(BLOCK, total - BLOCK * np.arange(blocks))
             missing = np.flatnonzero(present < wanted).tolist()
             file.swmr_mode = True
-            assert generator is not None
             results = run_blocks(sample_block, generator, seed, missing, workers, backend)
             for done, (block, samples) in enumerate(zip(missing, results, strict=True), 1):
-                _append(file, block, samples.rows(slice(int(wanted[block]))))
+                with _writing(path):
+                    _append(file, block, samples.rows(slice(int(wanted[block]))))
                 stage("samples", done / len(missing))
+        finally:
+            with _writing(path):
+                file.close()
     return stage.seconds
 
 
@@ -258,68 +319,131 @@ def regenerate(
             )
         if kind not in TRUTHS:
             raise DatasetError(f"{source}: its truth was one of your own and cannot be made again from the file")
-        surface, total, seed, truth = old.surface, len(old), old.seed, old.header["truth"]
+        _same(old, old.surface, old.seed, old.header["truth"])
+        surface, total, seed, truth = old.surface, old.held, old.seed, old.header["truth"]
     return make_dataset(path, surface, total, seed, TruthOptions(**truth), None, workers, backend, progress)
 
 
-def _open(path: Path) -> h5py.File:
-    if not path.is_file():
-        raise DatasetError(f"{path}: no such file")
-    # As one of many readers only where there is a writer, or was one that never closed the file: waiting for a writer
-    # that will never come, HDF5 tries for minutes to read what a truncated file has lost. Byte 11 of the superblock
-    # (version 3) holds the consistency flags.
-    with path.open("rb") as raw:
-        head = raw.read(12)
-    growing = len(head) == 12 and head.startswith(b"\x89HDF\r\n\x1a\n") and head[8] >= 3 and head[11] != 0
-    try:
-        file = h5py.File(path, "r", libver="latest", swmr=growing)
-    except OSError as error:
-        raise DatasetError(f"{path}: not an HDF5 file, or damaged beyond reading ({error})") from error
-    if file.attrs.get("format") != FORMAT or file.attrs.get("version") != VERSION:
-        kind = (file.attrs.get("format"), file.attrs.get("version"))
-        file.close()
-        raise DatasetError(f"{path}: is {kind[0]!r} version {kind[1]!r}, expected {FORMAT!r} version {VERSION}")
-    return file
-
-
-def _read(data: Any, path: Path) -> Any:
-    try:
-        return data[()]
-    except OSError as error:
-        raise DatasetError(f"{path}: {data.name} is damaged; make the dataset again") from error
-
-
-def _clean(path: Path) -> bool:
-    """Whether the last writer closed the file."""
-    try:
-        h5py.File(path, "r+", libver="latest").close()
-    except OSError:
-        return False
-    return True
+def sampling_rules() -> dict[str, Any]:
+    """How samples are drawn; files drawn by other rules are read but not gone on with."""
+    return {
+        "block": BLOCK,
+        "contacts": CONTACTS,
+        "several": SEVERAL,
+        "kinds": list(KINDS),
+        "cone": CONE,
+        "severity": list(SEVERITY),
+        "test": TEST,
+        "validation": VALIDATION,
+        "folds": FOLDS,
+        "pool": POOL,
+        "ring": list(RING),
+        "tilt": TILT,
+    }
 
 
 @contextmanager
-def _write(path: Path) -> Iterator[h5py.File]:
+def _typed(
+    path: Path, where: str = "damaged or incomplete", way_out: str = "make it again, in a new file"
+) -> Iterator[None]:
+    """Whatever h5py raises on a damaged file, as a DatasetError."""
     try:
-        file = h5py.File(path, "r+", libver="latest")
+        yield
+    except UNREADABLE as error:
+        raise DatasetError(f"{path}: {where} ({error}); {way_out}") from error
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keeps any other process from making the same file meanwhile. HDF5's own locks end where readers are let in."""
+    lock = path.with_name(f".{path.name}.lock")
+    try:
+        handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o666)
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be written ({error}); is another process writing it?") from error
-    with file:
-        yield file
+        raise DatasetError(f"{path}: cannot be written ({error.strerror})") from error
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.fstat(handle).st_nlink == 0:  # its last owner has just removed it
+                raise BlockingIOError
+        except BlockingIOError as error:
+            raise DatasetError(f"{path}: another process is writing it; wait for it, or name a new file") from error
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)
+    finally:
+        os.close(handle)
+
+
+def _flagged(path: Path) -> bool:
+    """Whether the file says that somebody has it open for writing, in byte 11 of a version 3 superblock."""
+    with path.open("rb") as raw:
+        head = raw.read(12)
+    return len(head) == 12 and head.startswith(SIGNATURE) and head[8] >= 3 and head[11] != 0
+
+
+def _open(path: Path) -> h5py.File:
+    if path.is_dir():
+        raise DatasetError(f"{path}: is a folder; name a file in it")
+    if not path.is_file():
+        raise DatasetError(f"{path}: no such file")
+    try:
+        with path.open("rb") as raw:
+            head = raw.read(len(SIGNATURE))
+        if head != SIGNATURE:
+            raise OSError("no HDF5 signature")
+        file = _patiently(path)
+    except OSError as error:
+        raise DatasetError(f"{path}: not an HDF5 file, or damaged beyond reading ({error})") from error
+    try:
+        with _typed(path):
+            kind = (file.attrs.get("format"), file.attrs.get("version"))
+        if kind != (FORMAT, VERSION):
+            raise DatasetError(f"{path}: is {kind[0]!r} version {kind[1]!r}, expected {FORMAT!r} version {VERSION}")
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _patiently(path: Path) -> h5py.File:
+    """Open it, as one of many readers only where there is a writer, or was one that never closed the file: as such HDF5
+    tries for minutes to read what is damaged. There is a moment in which a writer does not let readers in yet."""
+    for wait in (0.05, 0.2, 0.8, 0.0):
+        try:
+            return h5py.File(path, "r", libver="latest", swmr=_flagged(path), locking=False)
+        except OSError:
+            if not wait or not _flagged(path):
+                raise
+            time.sleep(wait)
+    raise AssertionError("the last wait is 0")
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Whatever h5py raises when it cannot write, as a DatasetError."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        raise DatasetError(f"{path}: cannot be written ({error}); is there space, and are you allowed to?") from error
 
 
 @contextmanager
 def _beside(path: Path) -> Iterator[h5py.File]:
     """A new file that takes the place of ``path`` once it is whole."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.absolute().parent)
-    os.close(handle)
+    name = path.with_name(f".{path.name}.part")  # one is enough: whoever writes it holds the lock
     try:
-        with h5py.File(name, "w", libver="latest") as file:
-            yield file
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        with _writing(path):
+            if path.exists() and not os.access(path, os.W_OK):
+                raise OSError("read-only")
+            with h5py.File(name, "w", libver="latest") as file:
+                yield file
+            if path.exists():
+                os.chmod(name, path.stat().st_mode)
+            os.replace(name, path)
+    finally:
+        name.unlink(missing_ok=True)
 
 
 def _create(
@@ -330,21 +454,16 @@ def _create(
     truth: dict[str, Any],
     stage: Stages,
 ) -> None:
+    if not np.array_equal(generator.surface.vertices, surface.vertices):
+        raise DatasetError(f"{path}: the generator is of another surface")
+    # A first answer, before there is a file: is it one, and does this truth say which interfaces gave way?
+    blows, _ = draw_blows(surface, 4, np.random.default_rng(0))
+    told = checked(generator, blows, generator.thresholds(blows), generator.fracture(blows)).broken
     header = {
         "fracsim": version("fracsim"),
         "seed": seed,
         "truth": truth,
-        "sampling": {
-            "block": BLOCK,
-            "contacts": CONTACTS,
-            "several": SEVERAL,
-            "kinds": KINDS,
-            "cone": CONE,
-            "severity": SEVERITY,
-            "test": TEST,
-            "validation": VALIDATION,
-            "folds": FOLDS,
-        },
+        "sampling": sampling_rules(),
         "cap": CAP,
         "units": "lengths in units of the largest extent; severity = impulse / (mass * breaking velocity)",
     }
@@ -358,7 +477,6 @@ def _create(
         group.attrs["scale"], group.attrs["offset"], group.attrs["name"] = surface.scale, surface.offset, surface.name
         _put(file, "links", facing_vertices(surface).astype(np.int32))
         _save_solid(file.create_group("parts"), generator.parts)
-        interfaces = 0
         if truth["truth"] in ("modal", "elastic"):
             group = file.create_group("atoms")
             given: Any = generator
@@ -376,13 +494,11 @@ def _create(
         for name in ("areas", "normals", "projected"):
             _put(group, name, getattr(joints, name))
         if generator.fixed_cracks:
-            # One blow tells whether this truth says which interfaces gave way.
-            told = generator.fracture(draw_blows(surface, 1, np.random.default_rng(0))[0]).broken
-            interfaces = 0 if told is None else len(joints)
             curves = CurveDistances(generator.parts, surface)
             distances, _ = interface_distances(curves, joints.pairs, stage.ticker("distances"))
             _put(group, "distances", distances.astype(np.float16))
         parts = len(generator.parts.volumes)
+        interfaces = 0 if told is None else told.shape[1]
         group = file.create_group("samples")
         contacts = (CONTACTS,)
         shapes: dict[str, tuple[tuple[int, ...], Any]] = {
@@ -416,7 +532,7 @@ def _create(
 
 
 def _append(file: h5py.File, block: int, samples: Samples) -> None:
-    """Write a block; only when all of it is on disk does it count."""
+    """Write a block; only when all of it is handed to the system does it count."""
     start, stop = block * BLOCK, block * BLOCK + len(samples)
     values = {name.name: getattr(samples, name.name) for name in fields(Samples)}
     width = values["broken"].shape[1]
@@ -442,7 +558,7 @@ def _salvage(path: Path) -> None:
         for name in old.file:
             if name not in ("samples", "complete"):
                 old.file.copy(name, file)
-        bad = {block for block, _ in old.damage()}
+        bad = {block for block, _ in old.damage() if block >= 0}
         complete = old.complete
         complete[sorted(bad)] = 0
         group = file.create_group("samples")
@@ -460,7 +576,7 @@ def _salvage(path: Path) -> None:
 
 def _named(generator: Generator) -> dict[str, Any]:
     """What a header can say of a generator of the user's own."""
-    return {"truth": type(generator).__name__}
+    return {"truth": "own", "class": type(generator).__name__}
 
 
 def _same(there: Dataset, surface: Surface, seed: int, truth: dict[str, Any]) -> None:
@@ -475,27 +591,9 @@ def _same(there: Dataset, surface: Surface, seed: int, truth: dict[str, Any]) ->
     wrong += [f"{key} {found[key]}" for key in found if found[key] != truth.get(key)]
     if wrong:
         raise DatasetError(f"{there.path}: was made from {', '.join(wrong)}; ask for the same, or name a new file")
-
-
-def _no_samples(dataset: Dataset) -> Samples:
-    widths: dict[str, tuple[int, ...]] = {
-        "faces": (CONTACTS,),
-        "barycentric": (CONTACTS, 3),
-        "directions": (CONTACTS, 3),
-        "severities": (CONTACTS,),
-        "labels": (len(dataset.parts.volumes),),
-        "broken": (int(dataset.file["samples/broken"].attrs["width"]),),
-    }
-    floats = ("barycentric", "directions", "severities", "ratio")
-    return Samples(
-        **{
-            field.name: np.zeros(
-                (0, *widths.get(field.name, ())),
-                bool if field.name == "broken" else np.float64 if field.name in floats else np.int64,
-            )
-            for field in fields(Samples)
-        }
-    )
+    if there.header["sampling"] != sampling_rules():
+        made = there.header.get("fracsim")
+        raise DatasetError(f"{there.path}: was drawn by the rules of fracsim {made}; name a new file")
 
 
 def _put(group: h5py.Group, name: str, values: npt.NDArray[Any]) -> None:
@@ -511,6 +609,6 @@ def _save_solid(group: h5py.Group, solid: Solid) -> None:
         _put(group, field.name, values.astype(np.int32) if np.issubdtype(values.dtype, np.integer) else values)
 
 
-def _load_solid(group: h5py.Group, path: Path) -> Solid:
-    values = {field.name: _read(group[field.name], path) for field in fields(Solid)}
+def _load_solid(group: h5py.Group) -> Solid:
+    values = {field.name: group[field.name][()] for field in fields(Solid)}
     return Solid(**{k: v.astype(np.int64) if np.issubdtype(v.dtype, np.integer) else v for k, v in values.items()})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .asset import write_beside
+from .dataset import Samples
 from .errors import DatasetError, MissingExtraError
 from .sampling import SurfacePoints
 from .solid import surface_parts
@@ -30,17 +32,20 @@ LIGHT = np.array([0.3, 0.5, 0.81])  # in the frame of the picture: right, up, to
 
 
 def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
-    """Draw samples of a dataset that break the body: the pieces, and the distance field, each from where it was hit.
+    """Draw some of the first samples of a dataset that break the body: the pieces, and the distance field, each from
+    where it was hit.
 
     Raises DatasetError when there are none.
     """
     with Dataset(path) as dataset:
-        samples = dataset.samples(skip_damaged=True)
-        breaking = np.flatnonzero(samples.labels.any(axis=1))
-        if len(breaking) == 0:
+        breaking = [
+            block.rows(np.flatnonzero(block.labels.any(axis=1))) for block in _enough(dataset.blocks(skip_damaged=True))
+        ]
+        if not breaking:
             raise DatasetError(f"{path}: no sample breaks the body; there is nothing to draw")
+        samples = Samples.join(breaking)
         rng = np.random.default_rng(seed)
-        chosen = np.sort(rng.choice(breaking, min(COLUMNS * ROWS, len(breaking)), replace=False))
+        chosen = np.sort(rng.choice(len(samples), min(COLUMNS * ROWS, len(samples)), replace=False))
         shown = samples.rows(chosen)
         vertices, faces = dataset.surface.vertices, dataset.surface.faces
         pieces = shown.labels[:, surface_parts(dataset.parts, len(vertices))]
@@ -65,14 +70,25 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
         draw_mesh(right, vertices, faces, matplotlib.colormaps["viridis"](fields[k][faces].mean(axis=1) / cap), frame)
         for axis in (left, right):
             _arrows(axis, where, shown.directions[k, there], frame)
-        left.set_title(
-            f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × threshold, {piece.max() + 1} pieces", fontsize=8
-        )
+        count = shown.labels[k].max() + 1
+        left.set_title(f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × threshold, {count} pieces", fontsize=8)
         right.set_title("distance to the nearest crack", fontsize=8)
-    figure.suptitle(f"{name}: samples {', '.join(map(str, chosen.tolist()))}", fontsize=9)
+    figure.suptitle(name, fontsize=9)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=100)
     write_beside(Path(out), buffer.getvalue())
+
+
+def _enough(blocks: Iterator[Samples]) -> Iterator[Samples]:
+    """Blocks, until there is a choice of ten pictures for each that is drawn."""
+    found = 0
+    for block in blocks:
+        broke = int(block.labels.any(axis=1).sum())
+        if broke:
+            yield block
+        found += broke
+        if found >= 10 * COLUMNS * ROWS:
+            return
 
 
 def view_frame(outward: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -20,7 +21,7 @@ from fracsim.cli import main
 from fracsim.dataset import BLOCK, CONTACTS, KINDS, Samples, draw_blows, run_blocks, sample, sample_block
 from fracsim.errors import BakeError, DatasetError
 from fracsim.generator import Blows, Response, TruthOptions, make_generator
-from fracsim.mesh import facing_vertices, read_surface
+from fracsim.mesh import facing_vertices, read_surface, refine
 from fracsim.sampling import CONE, SurfacePoints
 from fracsim.storage import Dataset, make_dataset, regenerate
 
@@ -94,13 +95,50 @@ def test_a_grip_squeezes_and_a_landing_pushes_one_way(surface):
     blows, kind = draw_blows(surface, 4000, np.random.default_rng(2))
     push = blows.directions * blows.severities[:, :, None]
     net = np.linalg.norm(push.sum(axis=1), axis=1)
-    np.testing.assert_allclose(net[kind == KINDS.index("grip")], 0.0, atol=1e-12)
+    assert (net[kind == KINDS.index("grip")] < np.sin(np.deg2rad(10)) + 1e-9).all()
     for one_way in ("landing", "ring"):
         assert (net[kind == KINDS.index(one_way)] > np.cos(np.deg2rad(20))).all()
     points = SurfacePoints(surface.vertices, surface.faces)
-    grips = blows.faces[kind == KINDS.index("grip"), :2]
-    facing = np.einsum("ni,ni->n", points.normals[grips[:, 0]], points.normals[grips[:, 1]])
+    rows = kind == KINDS.index("grip")
+    where = points.at(blows.faces[rows, :2].ravel(), blows.barycentric[rows, :2].reshape(-1, 3)).reshape(-1, 2, 3)
+    inward = -points.normals[blows.faces[rows, 0]]
+    arm = where[:, 1] - where[:, 0]
+    beside = np.linalg.norm(arm - np.einsum("ni,ni->n", arm, inward)[:, None] * inward, axis=1)
+    assert np.quantile(beside, 0.9) < 0.1
+    facing = np.einsum("ni,ni->n", points.normals[blows.faces[rows, 0]], points.normals[blows.faces[rows, 1]])
     assert (facing < -0.5).mean() > 0.95
+
+
+def contact_points(surface, blows, rows):
+    points = SurfacePoints(surface.vertices, surface.faces)
+    where = points.at(blows.faces[rows].ravel(), blows.barycentric[rows].reshape(-1, 3))
+    return where.reshape(-1, CONTACTS, 3), blows.severities[rows] > 0
+
+
+def test_a_landing_is_on_the_lowest_points_and_a_ring_is_round(surface):
+    blows, kind = draw_blows(surface, 6000, np.random.default_rng(3))
+    where, there = contact_points(surface, blows, kind == KINDS.index("landing"))
+    push = (blows.directions * blows.severities[:, :, None]).sum(axis=1)[kind == KINDS.index("landing")]
+    push /= np.linalg.norm(push, axis=1)[:, None]
+    height = np.einsum("nki,ni->nk", where, push) - (surface.vertices @ push.T).min(axis=0)[:, None]
+    assert np.quantile(height[there], 0.9) < 0.15
+    where, there = contact_points(surface, blows, kind == KINDS.index("ring"))
+    count = there.sum(axis=1, keepdims=True)
+    middle = (where * there[:, :, None]).sum(axis=1) / count
+    reach = np.linalg.norm(where - middle[:, None], axis=2)
+    mean = (reach * there).sum(axis=1) / count[:, 0]
+    assert 0.03 < np.median(mean) < 0.2
+    spread = np.sqrt((((reach - mean[:, None]) ** 2) * there).sum(axis=1) / count[:, 0])
+    assert np.median(spread / mean) < 0.35
+
+
+@pytest.mark.parametrize("shape", ["plate", "bell"])
+def test_every_contact_pushes(surface, shape):
+    body = surface if shape == "bell" else refine(read_surface(trimesh.creation.box((1.0, 1.0, 0.05))))
+    blows, _ = draw_blows(body, 4000, np.random.default_rng(4))
+    points = SurfacePoints(body.vertices, body.faces)
+    outward = np.einsum("nki,nki->nk", blows.directions, points.normals[blows.faces])
+    assert (outward[blows.severities > 0] < 0).all()
 
 
 def test_severity_is_log_uniform_about_the_threshold_and_nothing_is_rejected(generator):
@@ -128,7 +166,11 @@ def test_workers_do_not_change_a_bit(generator):
         same(one, other)
 
 
-def test_wrong_workers_and_backends_are_refused(generator):
+def test_wrong_workers_and_backends_are_refused(generator, surface, tmp_path):
+    for wrong in ({"workers": 0}, {"backend": "slurm"}, {"seed": 1.5}, {"seed": -1}):
+        with pytest.raises(DatasetError):
+            make_dataset(tmp_path / "d.h5", surface, **{"total": 10, "options": SMALL, **wrong})
+    assert list(tmp_path.iterdir()) == []
     with pytest.raises(DatasetError, match="workers must be at least 1"):
         sample(generator, 10, 0, workers=0)
     with pytest.raises(DatasetError, match="unknown backend 'slurm'"):
@@ -168,6 +210,88 @@ def test_a_dataset_is_made_again_from_its_header_alone(made, tmp_path):
         assert old.header == new.header
     with pytest.raises(DatasetError, match="exists already"):
         regenerate(made, tmp_path / "again.h5")
+
+
+def counted(monkeypatch):
+    """Which blocks are made."""
+    made = []
+
+    def job(generator, seed, block):
+        made.append(block)
+        return sample_block(generator, seed, block)
+
+    monkeypatch.setattr("fracsim.storage.sample_block", job)
+    return made
+
+
+def test_what_is_there_is_not_made_again(copy, surface, monkeypatch):
+    made = counted(monkeypatch)
+    make_dataset(copy, surface, 1000, 3, SMALL)
+    assert made == []
+    make_dataset(copy, surface, 1300, 3, SMALL)
+    assert made == [2, 3]
+    damage(copy, "ratio", 1)
+    make_dataset(copy, surface, 1300, 3, SMALL)
+    assert made == [2, 3, 1]
+
+
+def test_asking_for_less_takes_nothing_away_even_from_a_damaged_file(copy, made, surface):
+    make_dataset(copy, surface, 500, 3, SMALL)
+    damage(copy, "ratio", 0)
+    make_dataset(copy, surface, 500, 3, SMALL)
+    with Dataset(made) as old, Dataset(copy) as new:
+        same(old.samples(), new.samples())
+
+
+def test_two_processes_do_not_make_one_file(tmp_path, surface):
+    path = tmp_path / "d.h5"
+    writer = start_writer(path, 0.5)
+    assert writer.stdout.readline()
+    with pytest.raises(DatasetError, match="another process is writing it"):
+        make_dataset(path, surface, 4000, 3, SMALL)
+    writer.kill()
+    writer.wait()
+    make_dataset(path, surface, 1200, 3, SMALL)
+
+
+def test_a_file_drawn_by_other_rules_is_read_but_not_gone_on_with(copy, surface, tmp_path):
+    with h5py.File(copy, "r+") as file:
+        header = json.loads(file.attrs["header"])
+        header["sampling"]["severity"] = [1.0, 2.0]
+        file.attrs["header"] = json.dumps(header)
+    with Dataset(copy) as dataset:
+        assert len(dataset.samples()) == 1000
+    with pytest.raises(DatasetError, match="by the rules of fracsim"):
+        make_dataset(copy, surface, 1400, 3, SMALL)
+    with pytest.raises(DatasetError, match="by the rules of fracsim"):
+        regenerate(copy, tmp_path / "again.h5")
+
+
+def test_damage_outside_the_samples_is_named_and_owned_up_to(copy, surface):
+    with h5py.File(copy, "r") as file:
+        info = file["interfaces/distances"].id.get_chunk_info(0)
+    content = bytearray(copy.read_bytes())
+    content[info.byte_offset + info.size // 2] ^= 255
+    copy.write_bytes(content)
+    with Dataset(copy) as dataset:
+        assert dataset.damage() == [(-1, "/interfaces/distances")]
+        assert len(dataset.samples()) == 1000
+        with pytest.raises(DatasetError, match=r"d\.h5: damaged"):
+            dataset.fields(dataset.samples().labels[:1])
+    with pytest.raises(DatasetError, match="/interfaces/distances is damaged, which cannot be mended"):
+        make_dataset(copy, surface, 1400, 3, SMALL)
+
+
+def test_flipped_bytes_never_raise_anything_but_a_dataset_error(copy):
+    content = copy.read_bytes()
+    rng = np.random.default_rng(0)
+    for where in rng.integers(0, len(content), 60):
+        spoilt = bytearray(content)
+        spoilt[where] ^= 255
+        copy.write_bytes(spoilt)
+        with contextlib.suppress(DatasetError), Dataset(copy) as dataset:
+            dataset.damage()
+            dataset.fields(dataset.samples(skip_damaged=True).labels[:1])
 
 
 def test_another_mesh_other_options_or_another_seed_are_refused(copy, surface):
@@ -298,7 +422,7 @@ def test_a_truth_of_ones_own_stands_behind_the_same_file(generator, tmp_path):
     make_dataset(path, own.surface, 500, 0, generator=own)
     with Dataset(path) as dataset:
         assert dataset.generator is None
-        assert dataset.header["truth"] == {"truth": "Halves"}
+        assert dataset.header["truth"] == {"truth": "own", "class": "Halves"}
         drawn = dataset.samples()
         np.testing.assert_array_equal(drawn.labels[:, 1] == 1, drawn.ratio >= 1)
         assert drawn.broken.shape == (500, 0)
@@ -308,6 +432,28 @@ def test_a_truth_of_ones_own_stands_behind_the_same_file(generator, tmp_path):
     make_dataset(path, own.surface, 600, 0, generator=own)
     with pytest.raises(DatasetError, match="cannot be made again from the file"):
         regenerate(path, tmp_path / "again.h5")
+
+
+WRONG = {
+    "floats": lambda n, p: Response(np.zeros((n, p))),
+    "too few rows": lambda n, p: Response(np.zeros((1, p), np.int64)),
+    "too few parts": lambda n, p: Response(np.zeros((n, 1), np.int64)),
+    "negative": lambda n, p: Response(np.full((n, p), -1)),
+    "too large": lambda n, p: Response(np.full((n, p), p)),
+    "broken of floats": lambda n, p: Response(np.zeros((n, p), np.int64), np.zeros((n, 1))),
+}
+
+
+@pytest.mark.parametrize("fault", [*WRONG, "thresholds"])
+def test_wrong_answers_of_ones_own_truth_are_refused_before_there_is_a_file(generator, tmp_path, fault):
+    own = Halves(generator)
+    if fault == "thresholds":
+        own.thresholds = lambda blows: np.full(len(blows), np.nan)
+    else:
+        own.fracture = lambda blows: WRONG[fault](len(blows), 2)
+    with pytest.raises(DatasetError, match=r"Halves: (labels|broken|thresholds) must"):
+        make_dataset(tmp_path / "own.h5", own.surface, 500, 0, generator=own)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_elastic_stress_is_kept_and_gone_on_from_but_not_made_again(surface, tmp_path):
@@ -351,24 +497,36 @@ def test_the_command_line_makes_appends_describes_and_draws(tmp_path, capsys):
     assert main(["dataset", "info", str(mesh)]) == 2
     assert "bell.obj: not an HDF5 file" in capsys.readouterr().err
     assert main([*make, "--samples", "0"]) == 2
-    assert main([*make, "--truth", "magic"]) == 2
+    assert main([*make, "--samples", "10", "--append", "10"]) == 2
+    assert main(["dataset", "make", "--like", str(out), "--out", str(tmp_path / "x.h5"), "--modes", "3"]) == 2
+    assert "--modes cannot be given with --like" in capsys.readouterr().err
+    before = out.read_bytes()
+    for option in ("--out", "--json"):
+        assert main(["dataset", "info", str(out), option, str(out)]) == 2
+        assert "would be overwritten" in capsys.readouterr().err
+    assert out.read_bytes() == before
+    assert main([*make, "--truth", "magic", "--out", str(tmp_path / "new.h5")]) == 2
     assert "unknown truth 'magic'" in capsys.readouterr().err
 
 
 def test_options_of_a_truth_are_checked():
-    with pytest.raises(BakeError, match="cells must be at least 50"):
+    with pytest.raises(BakeError, match="cells must be a whole number and at least 50"):
         TruthOptions(cells=3)
     with pytest.raises(BakeError, match="unknown truth"):
         TruthOptions(truth="guess")
 
 
 def test_links_join_the_two_sides_of_a_wall_and_nothing_across_a_gap():
-    shell = read_surface(trimesh.creation.annulus(0.45, 0.5, 0.6, sections=48))
-    fine = read_surface(trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(shell.vertices, shell.faces, 0.06)))
-    links = facing_vertices(fine)
-    radius = np.linalg.norm(fine.vertices[links][:, :, :2], axis=2)
-    assert len(links) > 500
-    through = np.abs(radius[:, 0] - radius[:, 1]) > 0.02
-    assert through.mean() > 0.8
-    middle = np.linalg.norm(fine.vertices[links].mean(axis=1)[:, :2], axis=1)
-    assert ((middle > 0.42) & (middle < 0.51)).all()
+    plates = [trimesh.creation.box((1.0, 1.0, 0.03)) for _ in range(2)]
+    plates[1].apply_translation((0, 0, 0.06))
+    bridge = trimesh.creation.box((0.2, 1.0, 0.09))
+    bridge.apply_translation((0.4, 0, 0.03))
+    body = refine(read_surface(trimesh.boolean.union([*plates, bridge], engine="manifold")))
+    links = facing_vertices(body)
+    ends = body.vertices[links]
+    free = (ends[:, :, 0] < 0.2).all(axis=1)
+    rim = 0.04
+    inside = free & (np.abs(ends[:, :, 1]) < 0.5 - rim).all(axis=1) & (ends[:, :, 0] > -0.5 + rim).all(axis=1)
+    height = np.abs(ends[:, 0, 2] - ends[:, 1, 2])
+    assert inside.sum() > 100
+    np.testing.assert_allclose(height[inside], 0.03 / body.scale, atol=1e-9)  # never 0.06 or 0.09

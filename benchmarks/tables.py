@@ -1,0 +1,24 @@
+"""Copy the tables of benchmarks/results into docs/generator.md: ``python benchmarks/tables.py``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+HERE = Path(__file__).parent
+PAGE = HERE.parent / "docs" / "generator.md"
+BLOCK = re.compile(r"(<!-- results/(\w+)\.md -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def filled(page: str) -> str:
+    """The page with every block holding what its results file says now."""
+
+    def table(match: re.Match[str]) -> str:
+        text = (HERE / "results" / f"{match[2]}.md").read_text(encoding="utf-8").strip()
+        return f"{match[1]}\n{text}\n\n{match[3]}"
+
+    return BLOCK.sub(table, page)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
