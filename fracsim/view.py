@@ -45,8 +45,7 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
             raise DatasetError(f"{path}: no sample breaks the body; there is nothing to draw")
         samples = Samples.join(breaking)
         rng = np.random.default_rng(seed)
-        chosen = np.sort(rng.choice(len(samples), min(COLUMNS * ROWS, len(samples)), replace=False))
-        shown = samples.rows(chosen)
+        shown = samples.rows(_of_every_kind(samples.kind, COLUMNS * ROWS, rng))
         vertices, faces = dataset.surface.vertices, dataset.surface.faces
         pieces = shown.labels[:, surface_parts(dataset.parts, len(vertices))]
         fields = dataset.fields(shown.labels)[:, : len(vertices)]
@@ -58,7 +57,7 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
     axes = figure.subplots(ROWS, 2 * COLUMNS, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
-    for k in range(len(chosen)):
+    for k in range(len(shown)):
         there = shown.severities[k] > 0
         where = points.at(shown.faces[k, there], shown.barycentric[k, there])
         outward = points.normals[shown.faces[k, there]].mean(axis=0)
@@ -89,6 +88,16 @@ def _enough(blocks: Iterator[Samples]) -> Iterator[Samples]:
         found += broke
         if found >= 10 * COLUMNS * ROWS:
             return
+
+
+def _of_every_kind(kind: IntArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Up to ``count`` random rows, of as many of each kind as there are."""
+    order = rng.permutation(len(kind))
+    rank = np.empty(len(kind), dtype=np.int64)
+    for each in np.unique(kind):
+        rows = np.flatnonzero(kind[order] == each)
+        rank[rows] = np.arange(len(rows))
+    return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
 def view_frame(outward: FloatArray) -> FloatArray:
