@@ -120,6 +120,9 @@ def _bake(options: argparse.Namespace) -> dict[str, Any]:
     asset.save(out)
     print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     _print_figures(asset.metadata)
+    test = asset.metadata["test"]
+    if test["ari"] < test["ari_nearest_impulse"]:
+        print("fracsim: the model is worse than answering with the most similar training impulse", file=sys.stderr)
     return asset.metadata
 
 
