@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from .breaking import Interfaces, absorb_crumbs, components, drives, weakest_cut
@@ -24,8 +22,8 @@ from .errors import AssetError, FieldError, FracsimError
 from .impulse import Impulse, as_impulses
 from .material import Material, as_material
 from .models.field import TAU, FieldModel, field_from_scores, parting_scores
-from .pieces import AtomComplex, Hull, Piece
-from .sampling import CONE, SEVERITY, SurfacePoints, cone
+from .pieces import AtomComplex, Hull, Piece, vertex_cells
+from .sampling import CONE, SurfacePoints, cone, ratios
 from .segmentation.watershed import flooded_passes
 
 FloatArray = npt.NDArray[np.float64]
@@ -85,10 +83,7 @@ class AssetArrays:
     @cached_property
     def vertex_atom(self) -> IntArray:
         """(V,) the atom of each vertex."""
-        result = np.full(len(self.points), -1)
-        outer = self.sides[:, 1] < 0
-        result[self.triangles[outer]] = self.sides[outer, :1]
-        return result[: len(self.rows)]
+        return vertex_cells(self.triangles, self.sides, len(self.points))[: len(self.rows)]
 
     @cached_property
     def crossings(self) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
@@ -228,9 +223,7 @@ class BreakableAsset:
     @cached_property
     def breaking_impulse(self) -> FloatArray:
         """(V,) N·s: no single impulse below it on the faces around that vertex breaks anything, whichever way."""
-        modal = self.truth.kind == "modal"
-        severity = self.arrays.weakest[0] if modal else np.full(self.vertex_count, self.truth.least)
-        return severity * self.mass * self.material.breaking_velocity
+        return self._weakest[0] * self.mass * self.material.breaking_velocity
 
     def scaled(self, scale: float) -> BreakableAsset:
         """The same object, ``scale`` times as large; arrays are shared."""
@@ -252,11 +245,17 @@ class BreakableAsset:
         severities = np.array([impulse.magnitude for impulse in impulses]) / unit
         return self._may_break(corners, barycentric, severities)
 
+    @cached_property
+    def _weakest(self) -> tuple[FloatArray, FloatArray]:
+        """``AssetArrays.weakest``, or what is known of it where the truth is known by its samples alone."""
+        if self.truth.kind == "modal":
+            return self.arrays.weakest
+        least = np.full(self.vertex_count, self.truth.least)
+        return least, least
+
     def _may_break(self, corners: IntArray, barycentric: FloatArray, severities: FloatArray) -> bool:
-        if self.truth.kind != "modal":
-            return float(severities.sum()) >= self.truth.least
         nearest = corners[np.arange(len(corners)), np.argmax(barycentric, axis=1)]
-        bound = self.arrays.weakest[0 if len(corners) == 1 else 1][nearest]
+        bound = self._weakest[0 if len(corners) == 1 else 1][nearest]
         return float((severities / bound).sum()) >= 1.0
 
     def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
@@ -317,7 +316,7 @@ class BreakableAsset:
         pool = SurfacePoints(self.arrays.points[: self.vertex_count], self.faces)
         face, barycentric = pool.draw(count, rng)
         directions = cone(-pool.normals[face], CONE, rng)
-        ratio = np.exp(rng.uniform(np.log(SEVERITY[0]), np.log(SEVERITY[1]), count))
+        ratio = ratios(count, rng)
         severity = ratio * self.truth.typical
         if self.truth.kind == "modal":
             rows = pool.rows(self.arrays.rows, face[:, None], barycentric[:, None])
@@ -350,10 +349,7 @@ class BreakableAsset:
         joined = np.zeros(len(arrays.pairs), dtype=bool)
         joined[reached] = flooded_passes(field, shores, own, PASS_HEIGHT)
         joined[bound] = True
-        pairs = arrays.pairs[joined]
-        count = self.arrays.complex.count
-        graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-        labels = connected_components(graph, directed=False)[1].astype(np.int64)
+        labels = components(joined[None], arrays.pairs, arrays.complex.count)[0]
         labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
         timings["segmentation"] = _ms(begin)
         return self._finish(labels, field, timings, predictor, severity, clamped)

@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from .breaking import Interfaces, components, separated
+from .breaking import Interfaces, separated
 from .dataset import Samples, sample_block
 from .errors import BakeError, MissingExtraError
 from .fracture_modes import ATOM_FLOOR
-from .generator import Generator, absorb_all, interfaces_between
-from .solid import Solid, coarsen, join_small, relabel, shared_faces, sums
+from .generator import Generator, fall_apart, interfaces_between
+from .solid import Solid, coarsen, join_small, relabel, shared_faces
 
 try:
     from sklearn.cluster import AgglomerativeClustering
@@ -59,20 +59,24 @@ class Atoms:
         for row, label in enumerate(labels):
             weight = np.bincount(self.atom * width + label, self.cells.volumes, minlength=count * width)
             votes[row] = weight.reshape(count, width).argmax(axis=1)
-        whole = components(~separated(votes, self.interfaces.pairs), self.interfaces.pairs, count)
-        merged = absorb_all(whole, self.parts.volumes, self.interfaces, self.crumb_floor)
+        broken = separated(votes, self.interfaces.pairs)
+        merged = fall_apart(broken, self.parts, self.interfaces, self.crumb_floor).labels
         return replace(samples, labels=merged, broken=separated(merged, self.interfaces.pairs))
 
 
-def atoms_for(generator: Generator, seed: int, crumb_floor: float) -> Atoms:
-    """The generator's own atoms where its cracks are fixed, or those seen in its first training fractures."""
+def watch(generator: Generator, seed: int) -> list[Samples]:
+    """The first blocks of a truth that has no atoms of its own, for ``atoms_for``; none of any other."""
+    return [] if generator.fixed_cracks else [sample_block(generator, seed, block) for block in range(WATCHED)]
+
+
+def atoms_for(generator: Generator, watched: list[Samples], crumb_floor: float) -> Atoms:
+    """The generator's own atoms where its cracks are fixed, or those seen in the training fractures ``watched``."""
     parts = generator.parts
     if generator.fixed_cracks:
         cells, atom = getattr(generator, "cells", None), getattr(generator, "atom", None)
         if not (isinstance(cells, Solid) and isinstance(atom, np.ndarray) and len(atom) == len(cells.volumes)):
             cells, atom = parts, np.arange(len(parts.volumes))
-        return Atoms(cells, np.asarray(atom), parts, interfaces_between(parts), True, crumb_floor)
-    watched = [sample_block(generator, seed, block) for block in range(WATCHED)]
+        return Atoms(cells, atom, parts, interfaces_between(parts), True, crumb_floor)
     labels = np.concatenate([block.labels[block.split == 0] for block in watched])
     if not labels.any():
         raise BakeError(f"{generator.surface.name}: no fracture of its truth parts it")
@@ -100,9 +104,4 @@ def observed_atoms(cells: Solid, labels: IntArray, count: int) -> IntArray:
     graph = sp.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(total, total))
     ward = AgglomerativeClustering(min(count, total), connectivity=graph + graph.T, linkage="ward")
     group = ward.fit_predict(points).astype(np.int64)
-    volumes = sums(group, cells.volumes, int(group.max()) + 1)
-    ends = np.sort(group[pairs], axis=1)
-    between = ends[:, 0] != ends[:, 1]
-    joints, inverse = np.unique(ends[between], axis=0, return_inverse=True)
-    bond = sums(inverse.reshape(-1), areas[between], len(joints))
-    return join_small(volumes, joints, bond, ATOM_FLOOR * float(volumes.sum()))[group]
+    return join_small(cells.volumes, pairs, areas, ATOM_FLOOR * float(cells.volumes.sum()), group)

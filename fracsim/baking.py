@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from .asset import AssetArrays, BreakableAsset, Truth
-from .atoms import Atoms, atoms_for
+from .atoms import Atoms, atoms_for, watch
 from .convex import clip_apart, decompose, pack
-from .dataset import Samples, sample, sample_block
+from .dataset import Samples, sample
 from .errors import BakeError, MissingExtraError
 from .fracture_modes import impact_field
 from .generator import Generator, ModalGenerator, TruthOptions, make_generator
@@ -106,7 +106,8 @@ def bake(
             truth = generator(surface)
             kind = type(truth).__name__
         stage("atoms")
-        atoms = atoms_for(truth, seed, options.crumb_floor)
+        watched = watch(truth, seed)
+        atoms = atoms_for(truth, watched, options.crumb_floor)
         cells, solid, interfaces = atoms.cells, atoms.parts, atoms.interfaces
         stage("impact")
         rows = truth.rows if isinstance(truth, ModalGenerator) else impact_field(cells, atoms.atom, surface.vertices)
@@ -114,7 +115,7 @@ def bake(
         distances, shores = interface_distances(CurveDistances(solid, surface), interfaces.pairs, tick)
         distances = distances[:, : len(surface.vertices)]
         tick = stage.ticker("samples")
-        samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project)
+        samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
         tick = stage.ticker("training")
         geometry = spectrum(cells, atoms.atom, surface, options.eigenfunctions)
         model, figures = train_field(samples, geometry, surface.faces, interfaces, seed, options.training, tick)
@@ -152,7 +153,7 @@ def bake(
         asset = BreakableAsset(name, chosen, surface.scale, surface.offset, CAP, floor, arrays, model, {}, given)
         test = evaluate_asset(asset, samples, options.evaluated, stage.ticker("evaluation"))
         if not atoms.own:
-            test["ari_of_the_atoms"] = _atoms_ari(truth, atoms, seed)
+            test["ari_of_the_atoms"] = _atoms_ari(truth, atoms, watched[0])
     asset.metadata.update(
         {
             "fracsim": version("fracsim"),
@@ -187,10 +188,9 @@ def _truth(kind: str, samples: Samples) -> Truth:
     return Truth(kind, 0.5 * float(total[broke].min()), float(np.median((total / train.ratio)[single])))
 
 
-def _atoms_ari(truth: Generator, atoms: Atoms, seed: int) -> float:
-    """How well atoms can say what a truth that cuts freely does: mean ARI at the vertices over the first block's
-    held-out fractures."""
-    block = sample_block(truth, seed, 0)
+def _atoms_ari(truth: Generator, atoms: Atoms, block: Samples) -> float:
+    """How well atoms can say what a truth that cuts freely does: mean ARI at the vertices over a block's held-out
+    fractures."""
     held_out = block.rows((block.split != 0) & block.labels.any(axis=1))
     count = len(truth.surface.vertices)
     vertex_cell, vertex_atom = surface_parts(truth.parts, count), surface_parts(atoms.parts, count)

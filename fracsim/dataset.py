@@ -7,8 +7,9 @@ any number of sittings, is the beginning of one and the same sequence. ``storage
 from __future__ import annotations
 
 import collections
+import itertools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
@@ -19,7 +20,7 @@ from scipy.spatial import cKDTree
 from .errors import DatasetError, MissingExtraError
 from .generator import Blows, Generator, Response
 from .mesh import Surface
-from .sampling import CONE, SEVERITY, SurfacePoints, cone
+from .sampling import CONE, SurfacePoints, cone, ratios
 
 try:
     import joblib
@@ -93,15 +94,17 @@ def sample(
     workers: int = 1,
     backend: str = "joblib",
     transform: Callable[[Samples], Samples] = lambda block: block,
+    begun: Sequence[Samples] = (),
 ) -> Samples:
     """``count`` samples: points uniform over the area, directions uniform in a cone about the inward normal,
     severity log-uniform about the threshold; none is rejected, those that break nothing included.
 
-    transform: applied to every block before they are joined."""
+    transform: applied to every block before they are joined. begun: the first blocks, where they are there already."""
     if count < 1 or seed < 0:
         raise DatasetError(f"a count of samples must be at least 1 and a seed at least 0, got {count} and {seed}")
     blocks = []
-    for block in run_blocks(sample_block, generator, seed, list(range(-(-count // BLOCK))), workers, backend):
+    rest = list(range(len(begun), -(-count // BLOCK)))
+    for block in itertools.chain(begun, run_blocks(sample_block, generator, seed, rest, workers, backend)):
         blocks.append(transform(block))
         progress(min(1.0, len(blocks) * BLOCK / count))
     return Samples.join(blocks).rows(slice(count))
@@ -169,7 +172,7 @@ def sample_block(generator: Generator, seed: int, block: int) -> Samples:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, block)))
     with threadpool_limits(1):  # sums in one order, whatever the machine
         shares, kind = draw_blows(generator.surface, BLOCK, rng)
-        ratio = np.exp(rng.uniform(np.log(SEVERITY[0]), np.log(SEVERITY[1]), BLOCK))
+        ratio = ratios(BLOCK, rng)
         thresholds = generator.thresholds(shares)
         blows = shares.times(ratio * thresholds)
         response = checked(generator, blows, thresholds, generator.fracture(blows))

@@ -38,7 +38,7 @@ from .fracture_modes import PATCH_RADIUS
 from .generator import Blows, ModalGenerator, Response, fall_apart, just_parting
 from .mesh import Surface
 from .sampling import CONE, SurfacePoints, cone
-from .solid import Solid, sums
+from .solid import FACETS, Solid, sums
 
 try:
     from skfem import Basis, ElementTetP2, ElementVector, MeshTet
@@ -111,7 +111,7 @@ def tetrahedralise(surface: Surface, edge: float | None = None) -> MeshTet:
 
 def _largest_part(points: FloatArray, tetrahedra: IntArray) -> MeshTet:
     """The largest part that hangs together by faces: one that hangs by an edge is a hinge and has no stiffness."""
-    facets = np.sort(tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    facets = np.sort(tetrahedra[:, FACETS].reshape(-1, 3), axis=1)
     order = np.lexsort(facets.T)
     same = (facets[order][1:] == facets[order][:-1]).all(axis=1)
     left, right = order[:-1][same] // 4, order[1:][same] // 4
@@ -365,7 +365,7 @@ class ElasticGenerator:
         return just_parting(self.drives(blows), self.parts, self.interfaces)
 
     def fracture(self, blows: Blows) -> Response:
-        return fall_apart(self.drives(blows), self.parts, self.interfaces, self.crumb_floor)
+        return fall_apart(self.drives(blows) >= 1.0, self.parts, self.interfaces, self.crumb_floor)
 
 
 def elastic_generator(

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh, splu
 
+from .breaking import components
 from .errors import BakeError, MissingExtraError
 from .solid import Solid, join_small, shared_faces, sums
 
@@ -62,10 +62,7 @@ def neighbours(solid: Solid) -> tuple[IntArray, FloatArray, FloatArray]:
 
 def laplacian(pairs: IntArray, weights: FloatArray, count: int) -> sp.csc_matrix:
     """The positive semi-definite graph Laplacian of weighted pairs."""
-    difference = sp.csr_matrix(
-        (np.tile([1.0, -1.0], len(pairs)), (np.repeat(np.arange(len(pairs)), 2), pairs.ravel())),
-        shape=(len(pairs), count),
-    )
+    difference = _difference(pairs, np.ones(len(pairs)), count)
     return sp.csc_matrix(difference.T @ sp.diags(weights) @ difference)
 
 
@@ -254,15 +251,8 @@ def atoms(solid: Solid, modes: Modes) -> IntArray:
     pairs, areas, _ = neighbours(solid)
     jump = np.abs(modes.values[:, pairs[:, 0]] - modes.values[:, pairs[:, 1]])
     joined = (jump <= JUMP * jump.max(axis=1, keepdims=True)).all(axis=0)
-    cells = len(solid.volumes)
-    graph = sp.coo_matrix((np.ones(int(joined.sum())), (pairs[joined, 0], pairs[joined, 1])), shape=(cells, cells))
-    count, label = connected_components(graph, directed=False)
-    volumes = sums(label, solid.volumes, count)
-    ends = label[pairs]
-    between = ends[:, 0] != ends[:, 1]
-    joints, inverse = np.unique(np.sort(ends[between], axis=1), axis=0, return_inverse=True)
-    bond = sums(inverse.reshape(-1), areas[between], len(joints))
-    return join_small(volumes, joints, bond, ATOM_FLOOR * float(solid.volumes.sum()))[label]
+    label = components(joined[None], pairs, len(solid.volumes))[0]
+    return join_small(solid.volumes, pairs, areas, ATOM_FLOOR * float(solid.volumes.sum()), label)
 
 
 def impact_field(solid: Solid, atom: IntArray, points: FloatArray) -> FloatArray:

@@ -122,7 +122,7 @@ class ModalGenerator:
         return just_parting(self.drives(blows), self.parts, self.interfaces)
 
     def fracture(self, blows: Blows) -> Response:
-        return fall_apart(self.drives(blows), self.parts, self.interfaces, self.crumb_floor)
+        return fall_apart(self.drives(blows) >= 1.0, self.parts, self.interfaces, self.crumb_floor)
 
 
 def modal_generator(
@@ -178,9 +178,8 @@ def just_parting(drives: FloatArray, parts: Solid, interfaces: Interfaces) -> Fl
     return 1.0 / weakest_cut(drives, interfaces.pairs, len(parts.volumes))
 
 
-def fall_apart(drives: FloatArray, parts: Solid, interfaces: Interfaces, crumb_floor: float) -> Response:
-    """What is left when interfaces driven by 1 or more give way: drives (N, I)."""
-    broken = drives >= 1.0
+def fall_apart(broken: BoolArray, parts: Solid, interfaces: Interfaces, crumb_floor: float) -> Response:
+    """What is left when interfaces give way: broken (N, I)."""
     labels = components(~broken, interfaces.pairs, len(parts.volumes))
     return Response(absorb_all(labels, parts.volumes, interfaces, crumb_floor), broken)
 

@@ -52,6 +52,14 @@ class Piece:
         return self._surface[2]
 
 
+def vertex_cells(triangles: IntArray, sides: IntArray, count: int) -> IntArray:
+    """(P,) the cell behind the outer triangles at each of a complex's ``count`` points, -1 where there is none."""
+    result = np.full(count, -1)
+    outer = sides[:, 1] < 0
+    result[triangles[outer]] = sides[outer, :1]
+    return result
+
+
 @dataclass(frozen=True, eq=False)
 class AtomComplex:
     """The asset's atoms as one conforming complex, from which any grouping of them is read off.

@@ -12,11 +12,9 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .breaking import Interfaces
+from .breaking import Interfaces, components, separated
 from .generator import Blows, Response, absorb_all, interfaces_between
 from .mesh import Surface
 from .sampling import SurfacePoints
@@ -95,9 +93,7 @@ class RadialGenerator:
         sectors = np.minimum(2 + np.floor(2 * np.log2(ratios)), SECTORS)[owner]
         sector = np.floor(angle % (2 * np.pi) / (2 * np.pi) * sectors).astype(np.int64)
         region = np.where(distance[each, owner] > 1.0, -1, owner * SECTORS + sector)
-        whole = pairs[region[pairs[:, 0]] == region[pairs[:, 1]]]
-        graph = coo_matrix((np.ones(len(whole), np.int8), (whole[:, 0], whole[:, 1])), shape=(len(owner),) * 2)
-        return connected_components(graph, directed=False)[1].astype(np.int64)
+        return components(~separated(region, pairs)[None], pairs, len(owner))[0]
 
 
 def radial_generator(

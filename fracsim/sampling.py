@@ -39,6 +39,11 @@ class SurfacePoints:
         return sum(bary[..., k, None] * field[corner[..., k]] for k in range(3))  # type: ignore[return-value]
 
 
+def ratios(count: int, rng: np.random.Generator) -> FloatArray:
+    """(N,) severities as multiples of the threshold, log-uniform over SEVERITY."""
+    return np.asarray(np.exp(rng.uniform(np.log(SEVERITY[0]), np.log(SEVERITY[1]), count)))
+
+
 def cone(axes: FloatArray, half_angle: float, rng: np.random.Generator) -> FloatArray:
     """Directions uniform over the spherical caps of ``half_angle`` about unit ``axes`` (N, 3)."""
     cosine = rng.uniform(np.cos(half_angle), 1.0, len(axes))

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from .errors import BakeError, MissingExtraError
 from .mesh import Surface
+from .pieces import vertex_cells
 
 try:
     import manifold3d
@@ -491,12 +492,15 @@ def sums(index: IntArray, values: FloatArray, count: int) -> FloatArray:
     return np.stack([np.bincount(index, column, minlength=count) for column in values.T], axis=1)
 
 
-def join_small(volumes: FloatArray, pairs: IntArray, bond: FloatArray, floor: float) -> IntArray:
+def join_small(
+    volumes: FloatArray, pairs: IntArray, bond: FloatArray, floor: float, label: IntArray | None = None
+) -> IntArray:
     """Join every region smaller than ``floor`` to the neighbour it is most strongly bound to, until none is.
 
-    volumes: (C,). pairs: (I, 2) neighbours. bond: (I,), the strength. Returns (C,) the region each is now in.
+    volumes: (C,). pairs: (I, 2) neighbours. bond: (I,), the strength. label: (C,), the regions to begin with, from 0;
+    each by itself by default. Returns (C,) the region each is now in.
     """
-    label = np.arange(len(volumes))
+    label = np.arange(len(volumes)) if label is None else label
     while True:
         count = int(label.max()) + 1
         total = np.bincount(label, volumes, minlength=count)
@@ -544,10 +548,7 @@ def relabel(solid: Solid, label: IntArray) -> Solid:
 
 def surface_parts(solid: Solid, count: int) -> IntArray:
     """(V,) the cell that each of the surface's ``count`` vertices lies on."""
-    result = np.full(len(solid.points), -1)
-    outer = solid.source >= 0
-    result[solid.triangles[outer]] = solid.sides[outer, :1]
-    return result[:count]
+    return vertex_cells(solid.triangles, solid.sides, len(solid.points))[:count]
 
 
 def _join_slivers(solid: Solid) -> Solid:

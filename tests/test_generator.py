@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import ks_2samp
 
 import fracsim
-from fracsim.atoms import atoms_for
+from fracsim.atoms import atoms_for, watch
 from fracsim.breaking import separated
 from fracsim.dataset import draw_blows, sample
 from fracsim.fracture_modes import fracture_modes
@@ -169,7 +169,7 @@ def test_radial_cracks_start_where_the_body_is_struck_and_run_further_the_harder
 
 
 def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
-    built = atoms_for(radial, 0, 1e-3)
+    built = atoms_for(radial, watch(radial, 0), 1e-3)
     assert not built.own
     assert 20 < len(built.parts.volumes) <= 150
     assert built.parts.volumes.sum() == pytest.approx(radial.parts.volumes.sum(), rel=1e-12)
