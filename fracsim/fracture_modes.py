@@ -78,9 +78,9 @@ def fracture_modes(
     Each minimises the area-weighted jumps between cells, orthogonal to those before and to the constants, of unit
     length along its own previous iterate, until it settles; it starts from the Laplacian's eigenvector. An iterate
     is feasible in the programme of the next, and no solution is shorter than it, so the energy never increases.
-    solver: of each programme; "first-order", or "interior-point", Clarabel's, which is exact and, on n cells, some
-    n² slow (benchmarks/modes.py). known: (K, C) modes found before, after which to go on; they are not returned
-    again. Raises BakeError if a solver fails.
+    solver: of each programme; "first-order", or "interior-point", Clarabel's, which is exact and whose time grows
+    faster with the cells (benchmarks/modes.py). known: (K, C) modes found before, after which to go on; they are not
+    returned again. Raises BakeError if a solver fails.
     """
     pairs, areas, conductance = neighbours(solid)
     cells = len(solid.volumes)

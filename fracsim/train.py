@@ -115,7 +115,7 @@ def train_field(
     the loss on the validation samples. Raises BakeError if the loss is not finite.
     """
     options = options or TrainingOptions()
-    torch.set_num_threads(1)  # sums in one order, whatever the machine; layers this small gain nothing from more
+    torch.set_num_threads(1)  # sums in one order, whatever the machine
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     coordinates = geometry.coordinates

@@ -63,7 +63,7 @@ def first_cut(mesh, cells):
 
 
 def test_a_dumbbell_parts_at_its_neck():
-    # The lattice's cells bound how well a waist is found: 8 % off with 8,000 cells, up to 20 % with 2,500.
+    # A waist is found no better than the cells are small; fewer would not do.
     area, share, normal = first_cut(dumbbell(), 8000)
     neck = 16 * np.sin(np.pi / 16) * 0.3**2  # of a prism of 32 sides
     assert area == pytest.approx(neck, rel=0.1)
