@@ -1,4 +1,4 @@
-"""Copy the tables of benchmarks/results into docs/generator.md: ``python benchmarks/tables.py``."""
+"""Copy the tables of benchmarks/results into the pages of docs that name them: ``python benchmarks/tables.py``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 HERE = Path(__file__).parent
-PAGE = HERE.parent / "docs" / "generator.md"
+PAGES = (HERE.parent / "docs" / "generator.md", HERE.parent / "docs" / "results.md")
 BLOCK = re.compile(r"(<!-- results/(\w+)\.md -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -21,4 +21,5 @@ def filled(page: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(filled(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -21,6 +21,7 @@ from .errors import (
     MaterialError,
     MeshError,
     MissingExtraError,
+    ModelError,
     PhysicsError,
     RenderError,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "MaterialError",
     "MeshError",
     "MissingExtraError",
+    "ModelError",
     "PhysicsError",
     "Piece",
     "RenderError",

@@ -17,23 +17,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from .breaking import Interfaces, absorb_crumbs, components, drives, weakest_cut
+from .breaking import Interfaces, absorb_crumbs, components, drives, separated, weakest_cut
 from .errors import AssetError, FieldError, FracsimError
 from .impulse import Impulse, as_impulses
 from .material import Material, as_material
-from .models.field import TAU, FieldModel, field_from_scores, parting_scores
+from .models.field import FieldModel, field_from_scores, parting_scores
 from .pieces import AtomComplex, Hull, Piece, vertex_cells
 from .sampling import CONE, SurfacePoints, cone, ratios
-from .segmentation.watershed import flooded_passes
+from .segmentation.basins import Basins
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-FORMAT = 1
+FORMAT = 2
 SUFFIX = ".frac"
-PREDICTORS = ("field", "modes")
-# An interface whose score is even counts as a crack: that is where its field stands this far above a sure one's.
-PASS_HEIGHT = TAU * float(np.log(2.0))
+PREDICTORS = ("field", "interfaces", "modes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,19 +84,8 @@ class AssetArrays:
         return vertex_cells(self.triangles, self.sides, len(self.points))[: len(self.rows)]
 
     @cached_property
-    def crossings(self) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
-        """Shores, their own distances, the interfaces that have any, and the interfaces that bind inner atoms:
-        an atom that no curve borders follows the neighbour it shares most area with."""
-        reached = np.flatnonzero(self.shores[:, 0] >= 0)
-        shores = self.shores[reached]
-        own = np.take_along_axis(self.distances[reached].astype(np.float64), shores, axis=1)
-        inner = np.setdiff1d(np.arange(self.complex.count), self.pairs[reached])
-        bound = [
-            rows[np.argmax(self.areas[rows])]
-            for atom in inner.tolist()
-            if len(rows := np.flatnonzero((self.pairs == atom).any(axis=1)))
-        ]
-        return shores, own, reached, np.array(bound, dtype=np.int64)
+    def basins(self) -> Basins:
+        return Basins.of(self.shores, self.distances, self.pairs, self.areas, self.complex.count)
 
     @cached_property
     def weakest(self) -> tuple[FloatArray, FloatArray]:
@@ -261,11 +248,15 @@ class BreakableAsset:
     def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
         """What one impulse, or several acting together, do to the unbroken asset.
 
-        predictor: "field", the learned distance field, segmented; or "modes", the modal truth's own answer, which an
-        asset baked from another truth does not carry.
+        predictor: "field", the learned distance field, segmented; "interfaces", the pieces that the same model's
+        break scores leave, with no field between; or "modes", the modal truth's own answer, which an asset baked from
+        another truth does not carry.
         Raises ImpulseError, or FieldError when the model's field is not finite.
         """
-        impulses = as_impulses(impulses)
+        return self._fracture(as_impulses(impulses), predictor, gated=True)
+
+    def _fracture(self, impulses: Sequence[Impulse], predictor: str, gated: bool) -> Fracture:
+        """gated: whether blows that are surely too weak are spared the model, which is to be told when it is judged."""
         if predictor not in PREDICTORS:
             raise FracsimError(f"unknown predictor {predictor!r}; use one of {', '.join(PREDICTORS)}")
         if predictor == "modes" and self.truth.kind != "modal":
@@ -278,28 +269,35 @@ class BreakableAsset:
         )
         severity = float(severities.sum())
         limit = float(self.model.severity[0])
-        clamped = predictor == "field" and severity > limit
+        clamped = predictor != "modes" and severity > limit
         if clamped:
             severities *= limit / severity
         timings = {"impulse": _ms(begin)}
         begin = time.perf_counter()
+        pairs, count = self.arrays.pairs, self.arrays.complex.count
         if predictor == "modes":
             rows = np.einsum("kc,kca->ka", barycentric, self.arrays.rows[corners])
-            drive = drives(rows[None], directions[None], severities[None], self.arrays.interfaces)
-            labels = components(drive < 1.0, self.arrays.pairs, self.arrays.complex.count)[0]
-            labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
-            cracks = labels[self.arrays.pairs[:, 0]] != labels[self.arrays.pairs[:, 1]]
-            field = field_from_scores(cracks.astype(np.float64), self.arrays.distances, self.cap)
+            broken = drives(rows[None], directions[None], severities[None], self.arrays.interfaces)[0] >= 1.0
+        elif gated and not self._may_break(corners, barycentric, severities):
             timings["field"] = _ms(begin)
-            return self._finish(labels, field, timings, predictor, severity, clamped)
-        if not self._may_break(corners, barycentric, severities):
-            field = np.full(self.vertex_count, self.cap)
+            whole, flat = np.zeros(count, dtype=np.int64), np.full(self.vertex_count, self.cap)
+            return self._finish(whole, flat, timings, predictor, severity, clamped)
         else:
-            scores = self.model.scores(corners, barycentric, directions, severities)
-            scores = parting_scores(scores, self.arrays.pairs, self.arrays.complex.count)
-            field = field_from_scores(scores, self.arrays.distances, self.cap)
+            scores = self.model.scores(corners, barycentric, directions, severities, pairs)
+            if not np.isfinite(scores).all():
+                raise FieldError(f"{self.name}: the model's scores are not finite; no fracture follows from them")
+            if predictor == "field":
+                field = field_from_scores(parting_scores(scores, pairs, count), self.arrays.distances, self.cap)
+                timings["field"] = _ms(begin)
+                return self._cut(field, timings, predictor, severity, clamped)
+            broken = scores >= self.model.level[0]
+        labels = components(~broken[None], pairs, count)[0]
+        labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
+        timings["labels"] = _ms(begin)
+        begin = time.perf_counter()
+        field = field_from_scores(separated(labels, pairs).astype(np.float64), self.arrays.distances, self.cap)
         timings["field"] = _ms(begin)
-        return self._cut(field, timings, predictor, severity, clamped)
+        return self._finish(labels, field, timings, predictor, severity, clamped)
 
     def fracture_from_field(self, udf: npt.ArrayLike) -> Fracture:
         """The pieces of a given field: udf (V,) m, distance to the nearest crack, such as a model of one's own."""
@@ -345,11 +343,7 @@ class BreakableAsset:
             raise FieldError(f"{self.name}: the field holds values that are not finite; no fracture follows from it")
         begin = time.perf_counter()
         arrays = self.arrays
-        shores, own, reached, bound = self.arrays.crossings
-        joined = np.zeros(len(arrays.pairs), dtype=bool)
-        joined[reached] = flooded_passes(field, shores, own, PASS_HEIGHT)
-        joined[bound] = True
-        labels = components(joined[None], arrays.pairs, arrays.complex.count)[0]
+        labels = arrays.basins.labels(field, self.model.pass_height)
         labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
         timings["segmentation"] = _ms(begin)
         return self._finish(labels, field, timings, predictor, severity, clamped)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from .asset import AssetArrays, BreakableAsset, Truth
 from .atoms import Atoms, atoms_for, watch
@@ -24,14 +22,16 @@ from .impulse import Impulse
 from .material import Material, as_material
 from .mesh import Surface, read_surface, refine
 from .metrics import ACCEPTED, amae, ari
+from .models.base import Body
 from .models.field import field_from_scores
+from .models.fit_field import Field, FieldOptions
+from .models.nearest import Nearest, NearestOptions
 from .pieces import AtomComplex
 from .progress import Stages
 from .sampling import SurfacePoints
 from .solid import surface_parts
-from .spectrum import spectrum
-from .train import TrainingOptions, train_field
-from .udf import CAP, CurveDistances, interface_distances
+from .train import Run
+from .udf import CAP
 
 try:
     from threadpoolctl import threadpool_limits
@@ -48,28 +48,25 @@ IntArray = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class BakeOptions:
     """truth: "modal", or another of ``generator.TRUTHS``. cells: of the solid. modes: fracture modes.
-    samples: impulses to learn from and be tested on. eigenfunctions: of the solid, in which the model sees it.
-    crumb_floor: of the volume; smaller pieces join a neighbour. evaluated: test impulses that the figures are taken
-    over, at most. workers: processes.
+    samples: impulses to learn from and be tested on. crumb_floor: of the volume; smaller pieces join a neighbour.
+    evaluated: test impulses that the figures are taken over, at most. workers: processes. model: the options of the
+    field model; without, its defaults, with a response of every interface's own for any truth but the modal.
     """
 
     truth: str = "modal"
     cells: int = 5000
     modes: int = 20
-    samples: int = 50000
-    eigenfunctions: int = 96
+    samples: int = 250000
     crumb_floor: float = 1e-3
     evaluated: int = 1500
     workers: int = 2
-    training: TrainingOptions = field(default_factory=TrainingOptions)
+    model: FieldOptions | None = None
 
     def __post_init__(self) -> None:
-        least = {"cells": 50, "modes": 0, "samples": 500, "eigenfunctions": 1, "evaluated": 50, "workers": 1}
+        least = {"cells": 50, "modes": 0, "samples": 500, "evaluated": 50, "workers": 1}
         for name, value in least.items():
             if getattr(self, name) < value:
                 raise BakeError(f"{name} must be at least {value}, got {getattr(self, name)}")
-        if self.training.steps < 1:
-            raise BakeError(f"training steps must be at least 1, got {self.training.steps}")
         _ = self.truth_options  # checks the truth's name
 
     @property
@@ -111,22 +108,20 @@ def bake(
         cells, solid, interfaces = atoms.cells, atoms.parts, atoms.interfaces
         stage("impact")
         rows = truth.rows if isinstance(truth, ModalGenerator) else impact_field(cells, atoms.atom, surface.vertices)
-        tick = stage.ticker("distances")
-        distances, shores = interface_distances(CurveDistances(solid, surface), interfaces.pairs, tick)
-        distances = distances[:, : len(surface.vertices)]
+        body = Body.of(surface, atoms, stage.ticker("distances"))
         tick = stage.ticker("samples")
         samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
         tick = stage.ticker("training")
-        geometry = spectrum(cells, atoms.atom, surface, options.eigenfunctions)
-        model, figures = train_field(samples, geometry, surface.faces, interfaces, seed, options.training, tick)
+        learning = options.model or FieldOptions(response=kind != "modal")
+        model, figures = Field.fit(body, samples, learning, seed, Run(progress=tick))
         tick = stage.ticker("convex")
         complex_ = AtomComplex(solid.points, solid.triangles, solid.sides)
         one = np.eye(complex_.count, dtype=bool)
         shells = [complex_.surface(row)[:2] for row in one]
         whole = (surface.vertices, surface.faces)
-        *parts, body = decompose([*shells, whole], options.workers, tick)
+        *parts, around = decompose([*shells, whole], options.workers, tick)
         parts = clip_apart(parts, interfaces.pairs, interfaces.normals, progress=stage.ticker("clipping"))
-        hulls, whole_hulls = pack([points for some in parts for points in some]), pack(body)
+        hulls, whole_hulls = pack([points for some in parts for points in some]), pack(around)
         arrays = AssetArrays(
             faces=surface.faces,
             points=solid.points,
@@ -137,8 +132,8 @@ def bake(
             areas=interfaces.areas,
             normals=interfaces.normals,
             projected=interfaces.projected,
-            distances=distances.astype(np.float16),
-            shores=shores,
+            distances=body.distances[:, : len(surface.vertices)].astype(np.float16),
+            shores=body.shores,
             hull_points=hulls[0],
             hull_faces=hulls[1],
             hull_sizes=hulls[2],
@@ -150,8 +145,8 @@ def bake(
         given = _truth(kind, samples)
         name = Path(surface.name).stem
         floor = options.crumb_floor
-        asset = BreakableAsset(name, chosen, surface.scale, surface.offset, CAP, floor, arrays, model, {}, given)
-        test = evaluate_asset(asset, samples, options.evaluated, stage.ticker("evaluation"))
+        asset = BreakableAsset(name, chosen, surface.scale, surface.offset, CAP, floor, arrays, model.net, {}, given)
+        test = evaluate_asset(asset, body, samples, options.evaluated, stage.ticker("evaluation"))
         if not atoms.own:
             test["ari_of_the_atoms"] = _atoms_ari(truth, atoms, watched[0])
     asset.metadata.update(
@@ -199,27 +194,31 @@ def _atoms_ari(truth: Generator, atoms: Atoms, block: Samples) -> float:
 
 
 def evaluate_asset(
-    asset: BreakableAsset, samples: Samples, most: int, progress: Callable[[float], None] = lambda _: None
+    asset: BreakableAsset,
+    body: Body,
+    samples: Samples,
+    most: int,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, float]:
     """Figures of the asset's default predictor on held-out impulses, beside the nearest training impulse.
 
     Of at most ``most`` test samples. ARI, acceptance and AMAE are means over the impulses that truly break;
     whether it breaks at all is scored apart, as balanced accuracy.
     """
-    train, validation, test = (samples.part(k) for k in range(3))
-    weights = _nearest_weights(train, validation, asset)
-    nearest = _Nearest(train, asset, weights).labels(test)
+    test = samples.part(2)
+    count = min(most, len(test))
+    nearest = Nearest.fit(body, samples, NearestOptions(), 0)[0].predict_labels(test.rows(slice(count)).blows)
     points = SurfacePoints(asset.vertices, asset.faces)
     unit = asset.mass * asset.material.breaking_velocity
     vertex_atom, pairs, distances = asset.arrays.vertex_atom, asset.arrays.pairs, asset.arrays.distances
-    count = min(most, len(test))
     rows: list[tuple[float, ...]] = []
     broke = np.zeros((count, 3), dtype=bool)  # truly, predicted, nearest
     for k in range(count):
         there = np.flatnonzero(test.severities[k])
         where = points.at(test.faces[k, there], test.barycentric[k, there])
         blow = zip(where, test.directions[k, there], test.severities[k, there] * unit, strict=True)
-        fracture = asset.fracture([Impulse(*values) for values in blow])
+        # The gate is made from the truth; a model is judged by its own answers.
+        fracture = asset._fracture([Impulse(*values) for values in blow], "field", gated=False)
         broke[k] = test.labels[k].any(), fracture.broken, nearest[k].any()
         if broke[k, 0]:
             truth = test.labels[k][vertex_atom]
@@ -255,41 +254,3 @@ def evaluate_asset(
         "ms_median": float(np.median(table[:, 4])),
         "ms_p99": float(np.quantile(table[:, 4], 0.99)),
     }
-
-
-class _Nearest:
-    """The baseline without learning: the fracture of the most similar training impulse.
-
-    Impulses are compared by where they act and which way, both in the mean over contacts, and by the
-    logarithm of their severity.
-    """
-
-    def __init__(self, train: Samples, asset: BreakableAsset, weights: tuple[float, float]) -> None:
-        self.points = SurfacePoints(asset.arrays.points[: asset.vertex_count], asset.faces)
-        self.weights = weights
-        self.train = train
-        self.tree = cKDTree(self.key(train))
-
-    def key(self, samples: Samples) -> FloatArray:
-        total = samples.severities.sum(axis=1, keepdims=True)
-        share = (samples.severities / total)[:, :, None]
-        where = self.points.at(samples.faces.ravel(), samples.barycentric.reshape(-1, 3))
-        mean = (share * where.reshape(*samples.faces.shape, 3)).sum(axis=1)
-        way = (share * samples.directions).sum(axis=1)
-        return np.hstack([self.weights[0] * mean, way, self.weights[1] * np.log(total)])
-
-    def labels(self, samples: Samples) -> IntArray:
-        return self.train.labels[self.tree.query(self.key(samples))[1]]
-
-
-def _nearest_weights(train: Samples, validation: Samples, asset: BreakableAsset) -> tuple[float, float]:
-    """The baseline deserves its best: position and severity weights chosen on validation impulses."""
-    rows = np.flatnonzero(validation.labels.any(axis=1))[:300]
-    truth = validation.labels[rows][:, asset.arrays.vertex_atom]
-    best, score = (1.0, 1.0), -np.inf
-    for weights in itertools.product((2.0, 4.0, 8.0), (0.3, 0.7, 1.5)):
-        guess = _Nearest(train, asset, weights).labels(validation)[rows][:, asset.arrays.vertex_atom]
-        mean = float(np.mean([ari(a, b) for a, b in zip(truth, guess, strict=True)]))
-        if mean > score:
-            best, score = weights, mean
-    return best

@@ -6,10 +6,11 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .errors import AssetError, DatasetError, FracsimError
+from .errors import AssetError, DatasetError, FracsimError, ModelError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,8 +26,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bake.add_argument("--truth", default="modal", help="what it learns from: modal (default), elastic or radial")
     bake.add_argument("--cells", type=int, default=5000, help="of the solid that is cut up")
     bake.add_argument("--modes", type=int, default=20, help="fracture modes")
-    bake.add_argument("--samples", type=int, default=50000, help="impulses to learn from and be tested on")
-    bake.add_argument("--steps", type=int, default=5000, help="of training")
+    bake.add_argument("--samples", type=int, default=250000, help="impulses to learn from and be tested on")
+    bake.add_argument("--steps", type=int, default=8000, help="of training")
     bake.add_argument("--workers", type=int, default=2, help="processes for the convex parts")
     bake.add_argument("--quiet", action="store_true", help="no progress bars")
     bake.set_defaults(run=_bake)
@@ -37,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     fracture.add_argument("--direction", type=float, nargs=3, metavar=("X", "Y", "Z"))
     fracture.add_argument("--magnitude", type=float, help="N·s")
     fracture.add_argument("--seed", type=int, default=0, help="draws the impulse where none is given")
-    fracture.add_argument("--predictor", default="field", help="field or modes")
+    fracture.add_argument("--predictor", default="field", help="field, interfaces or modes")
     fracture.add_argument("--material", help="another than the asset's own")
     fracture.add_argument("--scale", type=float, default=1.0, help="times the asset's own size")
     fracture.add_argument("--out", type=Path, help="a folder to write the pieces to, as OBJ files")
@@ -46,6 +47,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     info = commands.add_parser("info", help="say what an asset holds and how good its model is")
     info.add_argument("asset", help="a file, or the name of an asset that ships")
     info.set_defaults(run=_info)
+
+    tune = commands.add_parser("tune", help="search for an architecture that errs little and answers fast")
+    tune.add_argument("dataset", type=Path)
+    tune.add_argument("--model", default="mlp", help="mlp (default), deltaconv, field or interfaces")
+    tune.add_argument("--trials", type=int, default=20, help="that the study shall hold in the end")
+    tune.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="an option that is held fixed")
+    tune.add_argument("--range", action="append", default=[], metavar="NAME=LOW:HIGH", help="of an option, to seek in")
+    tune.add_argument("--population", type=int, default=20, help="trials a generation (default: 20)")
+    tune.add_argument("--epochs", type=int, help="of each fit")
+    tune.add_argument("--steps", type=int, help="of each fit")
+    tune.add_argument("--seconds", type=float, help="of each fit")
+    tune.add_argument("--batch", type=int, help="training points or impulses a step")
+    tune.add_argument("--rate", type=float, help="learning rate")
+    tune.add_argument("--samples", type=int, help="at most so many of the dataset's")
+    tune.add_argument("--folds", type=int, default=5, help="that each trial is fitted and judged on (default: 5)")
+    tune.add_argument("--seed", type=int, default=0)
+    tune.add_argument("--study", help="its name (default: the dataset's and the model's)")
+    tune.add_argument("--storage", help="a file or a database URL, shared by all workers (default: OUT/study.log)")
+    tune.add_argument("--out", type=Path, help="the folder for figures (default: tune_MODEL)")
+    tune.add_argument("--quiet", action="store_true", help="no progress bars")
+    tune.set_defaults(run=_tune)
+
+    evaluate = commands.add_parser("evaluate", help="measure models, segmentations and meshes of a plan side by side")
+    evaluate.add_argument("plan", type=Path, help="a TOML file, such as benchmarks/evaluation.toml")
+    evaluate.add_argument("--out", type=Path, help="the folder for tables and pictures (default: the plan's name)")
+    evaluate.add_argument("--work", type=Path, help="the folder for what can be gone on from (default: OUT/work)")
+    evaluate.add_argument("--meshes", default="", help="only these of the plan, separated by commas")
+    evaluate.add_argument("--again", action="store_true", help="measure anew, with the models that are there")
+    evaluate.add_argument("--quiet", action="store_true", help="no progress bars")
+    evaluate.set_defaults(run=_evaluate)
 
     dataset = commands.add_parser("dataset", help="make a file of fracture samples, or say what is in one")
     actions = dataset.add_subparsers(dest="action", required=True, metavar="ACTION")
@@ -69,14 +100,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     describe.add_argument("--seed", type=int, default=0, help="chooses the samples in the picture")
     describe.set_defaults(run=_dataset_info)
 
-    for command in (bake, fracture, info, make, describe):
+    train = commands.add_parser("train", help="fit a model to a dataset")
+    train.add_argument("dataset", type=Path)
+    train.add_argument("--model", default="mlp", help="mlp (default), deltaconv, field, interfaces, shared or nearest")
+    train.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="an option of the model's")
+    train.add_argument("--epochs", type=int, help="over the training samples")
+    train.add_argument("--steps", type=int, help="of the optimiser")
+    train.add_argument("--seconds", type=float, help="instead of a number of steps, what time allows")
+    train.add_argument("--batch", type=int, help="training points or impulses a step")
+    train.add_argument("--rate", type=float, help="learning rate")
+    train.add_argument("--patience", type=int, help="validations without progress that end it; keeps the best weights")
+    train.add_argument("--seed", type=int, default=0)
+    train.add_argument("--threads", type=int, help="of torch (default: 1)")
+    train.add_argument("--device", help="auto (default), cpu, cuda or cuda:N")
+    train.add_argument("--out", type=Path, help="the model (default: DATASET_MODEL.safetensors)")
+    train.add_argument("--checkpoint", type=Path, metavar="FILE", help="kept while training, and taken up if there")
+    train.add_argument("--log", type=Path, metavar="DIR", help="a folder for TensorBoard")
+    train.add_argument("--quiet", action="store_true", help="no progress bars")
+    train.set_defaults(run=_train)
+
+    for command in (bake, fracture, info, make, describe, train, evaluate, tune):
         command.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     options = parser.parse_args(arguments)
     try:
         for path in (options.json, getattr(options, "out", None)):
             if path is not None and not path.absolute().parent.is_dir():
                 raise AssetError(f"{path}: the folder {path.parent} does not exist; create it first")
-        for path in (options.json, options.out if options.command in ("bake", "dataset") else None):
+        for path in (options.json, options.out if options.command in ("bake", "dataset", "train") else None):
             if path is not None and path.is_dir():
                 raise AssetError(f"{path}: is a folder; name a file in it")
         figures = options.run(options)
@@ -88,11 +138,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fracsim: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        kept = (
-            "finished blocks of samples are kept; ask for the total with --samples to go on"
-            if options.command == "dataset"
-            else "nothing was written"
-        )
+        kept = "nothing was written"
+        if options.command == "dataset":
+            kept = "finished blocks of samples are kept; ask for the total with --samples to go on"
+        elif options.command == "tune":
+            kept = "finished trials are kept; run the same command again to go on"
+        elif options.command == "evaluate":
+            kept = "what was measured and trained is kept; run the same command again to go on"
+        elif options.command == "train" and options.checkpoint is None:
+            kept += "; with --checkpoint FILE, training could go on"
+        elif options.command == "train" and options.checkpoint.exists():
+            kept = f"{options.checkpoint} keeps what was learnt; run the same command again to go on"
         print(f"fracsim: interrupted; {kept}", file=sys.stderr)
         return 130
     return 0
@@ -100,9 +156,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _bake(options: argparse.Namespace) -> dict[str, Any]:
     from .baking import BakeOptions, bake
-    from .train import TrainingOptions
+    from .models.fit_field import FieldOptions
 
     out = options.out or Path(options.mesh.stem + ".frac")
+    learning = FieldOptions(response=options.truth != "modal")
+    learning = replace(learning, training=replace(learning.training, steps=options.steps))
     asset = bake(
         options.mesh,
         options.material,
@@ -113,7 +171,7 @@ def _bake(options: argparse.Namespace) -> dict[str, Any]:
             modes=options.modes,
             samples=options.samples,
             workers=options.workers,
-            training=TrainingOptions(steps=options.steps),
+            model=learning,
         ),
         progress=not options.quiet,
     )
@@ -124,6 +182,73 @@ def _bake(options: argparse.Namespace) -> dict[str, Any]:
     if test["ari"] < test["ari_nearest_impulse"]:
         print("fracsim: the model is worse than answering with the most similar training impulse", file=sys.stderr)
     return asset.metadata
+
+
+def _tune(options: argparse.Namespace) -> dict[str, Any]:
+    import hashlib
+
+    from .models.base import Body, model_class
+    from .progress import Stages
+    from .storage import Dataset
+    from .train import options_from
+    from .tune import Search, open_study, search_space, summary, tune, write_figures
+
+    names = ("epochs", "steps", "seconds", "batch", "rate")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    if options.samples is not None and options.samples < 1:
+        raise ModelError(f"--samples must be at least 1, got {options.samples}")
+    ranges = search_space(options.model, _settings(options.range, "--range"))
+    fixed = options_from(model_class(options.model).options_type, _settings(options.set), given)
+    out = options.out or Path(f"tune_{options.model}")
+    with Stages(not options.quiet) as stage:
+        with Dataset(options.dataset) as dataset:
+            header = json.dumps(dataset.header, sort_keys=True)
+            body, samples = Body.read(dataset, stage.ticker("distances"))
+        samples = samples.rows(slice(options.samples))
+        source = f"{len(samples)} of {hashlib.sha256(header.encode()).hexdigest()}"
+        search = Search(options.model, fixed, ranges, options.folds, options.seed, source)
+        out.mkdir(exist_ok=True)
+        name = options.study or f"{options.dataset.stem} {options.model}"
+        study = open_study(options.storage or str(out / "study.log"), name, search)
+        tune(search, body, samples, study, options.trials, options.population, stage.ticker("trials"))
+    found = summary(study, search)
+    for path in write_figures(found, out):
+        print(path)
+    _print_figures(found)
+    if found["chosen"] is None:
+        raise ModelError(f"{out / 'trials.json'}: no trial finished; it says why")
+    chosen = found["trials"][found["chosen"]]
+    parameters = " ".join(f"--set {name}={value}" for name, value in chosen["parameters"].items())
+    print(f"chosen: trial {chosen['number']}, {parameters}")
+    print(f"  validation AMAE {chosen['amae']:.5f}, {chosen['seconds'] * 1e3:.3g} ms a query")
+    return found
+
+
+def _settings(texts: list[str], flag: str = "--set") -> dict[str, str]:
+    settings: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ModelError(f"{flag} takes NAME=VALUE, got {text!r}")
+        settings[name] = value
+    return settings
+
+
+def _evaluate(options: argparse.Namespace) -> dict[str, Any]:
+    from .evaluate import evaluate, read_plan
+    from .report import write_report
+
+    out = options.out or Path(options.plan.stem)
+    work = options.work or out / "work"
+    plan = read_plan(options.plan)
+    only = tuple(name.strip() for name in options.meshes.split(",") if name.strip())
+    found = evaluate(plan, work, only, not options.quiet, options.again)
+    for path in write_report(plan, found, out, work, f"fracsim evaluate {options.plan}"):
+        print(path)
+    print((out / "evaluation_models.md").read_text(encoding="utf-8"))
+    for name in found["missing"]:
+        print(f"fracsim: not measured yet: {name}", file=sys.stderr)
+    return found
 
 
 def _dataset_make(options: argparse.Namespace) -> dict[str, Any]:
@@ -182,6 +307,54 @@ def _dataset_info(options: argparse.Namespace) -> dict[str, Any]:
     if figures["pieces"]["breaking"]:
         picture_sheet(options.dataset, out, abs(options.seed))
         print(f"{out}: some of its samples")
+    return figures
+
+
+def _train(options: argparse.Namespace) -> dict[str, Any]:
+    import hashlib
+    from dataclasses import asdict
+
+    from .metrics import amae
+    from .models.base import Body, model_class, save_model
+    from .progress import Stages
+    from .storage import Dataset
+    from .train import Run, options_from, rank
+
+    kind = model_class(options.model)
+    names = ("epochs", "steps", "seconds", "batch", "rate", "patience", "threads", "device")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    chosen = options_from(kind.options_type, _settings(options.set), given)
+    out = options.out or Path(f"{options.dataset.stem}_{options.model}.safetensors")
+    first = rank() == 0
+    with Stages(first and not options.quiet) as stage:
+        with Dataset(options.dataset) as dataset:
+            header = json.dumps(dataset.header, sort_keys=True)
+            body, samples = Body.read(dataset, stage.ticker("distances"))
+        source = {"header": hashlib.sha256(header.encode()).hexdigest(), "samples": len(samples)}
+        architecture = {name: value for name, value in asdict(chosen).items() if name != "training"}
+        label = json.dumps([options.model, source, architecture], sort_keys=True)
+        tick = stage.ticker("training")
+        run = Run(options.checkpoint, options.checkpoint is not None, label=label, log=options.log, progress=tick)
+        model, training = kind.fit(body, samples, chosen, options.seed, run)
+        stage("validation")
+        held_out = samples.part(1).rows(slice(200))
+        error = amae(body.fields(held_out.labels), model.predict(held_out.blows)) if len(held_out) else float("nan")
+    figures = {
+        "model": options.model,
+        "dataset": source,
+        "seed": options.seed,
+        "options": asdict(chosen),
+        "training": training,
+        "validation": {"impulses": len(held_out), "amae": error},
+        "seconds": {**stage.seconds, "total": sum(stage.seconds.values())},
+    }
+    if first:
+        save_model(model, out, figures)
+        print(f"{out}: {options.model}, {out.stat().st_size / 1e6:.1f} MB")
+        _print_figures(figures)
+        print(f"  validation AMAE {error:.5f} over {len(held_out)} impulses")
+    else:
+        options.json = None
     return figures
 
 

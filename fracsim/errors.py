@@ -34,6 +34,10 @@ class FieldError(FracsimError, ValueError):
     """A distance field of the wrong shape or dtype, or with values that are not finite."""
 
 
+class ModelError(FracsimError):
+    """A model file that is missing, truncated, or of another body, or training that went wrong."""
+
+
 class MaterialError(FracsimError, ValueError):
     """An unknown material name or a property outside its range."""
 

@@ -216,7 +216,8 @@ class _FirstOrder:
         since, last = 0, 0.0
         for _ in range(self.steps):
             u_next = u - self.down @ y
-            u_next -= lift @ (rows @ u_next - right)
+            with np.errstate(invalid="ignore"):  # what BLAS raises on lanes that it pads with; see below for the sum
+                u_next -= lift @ (rows @ u_next - right)
             y_next = self.up @ (2.0 * u_next - u)
             y_next += y
             np.clip(y_next, -1.0, 1.0, out=y_next)
@@ -236,6 +237,8 @@ class _FirstOrder:
                 now *= -share
                 now += 2 * share * after
                 now += (1 - share) * anchor
+        if not np.isfinite(u_next).all():
+            raise BakeError("fracture modes: the solver diverged; try solver='interior-point'")
         self.y = y_next
         return u_next.astype(np.float64)
 

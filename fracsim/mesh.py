@@ -81,6 +81,15 @@ def refine(surface: Surface, longest: float = LONGEST) -> Surface:
     return replace(surface, vertices=vertices, faces=np.asarray(fine.tri_verts).astype(np.int64))
 
 
+def split_faces(surface: Surface) -> Surface:
+    """The same surface with every face split in three at its centroid: about three times the vertices."""
+    count, (a, b, c) = len(surface.vertices), surface.faces.T
+    middle = count + np.arange(len(surface.faces))
+    faces = np.stack([[a, b, middle], [b, c, middle], [c, a, middle]]).transpose(2, 0, 1).reshape(-1, 3)
+    vertices = np.vstack([surface.vertices, surface.vertices[surface.faces].mean(axis=1)])
+    return replace(surface, vertices=vertices, faces=np.ascontiguousarray(faces))
+
+
 def facing_vertices(surface: Surface, reach: float = REACH) -> IntArray:
     """Links (L, 2): vertices that face each other through a wall thinner than ``reach``.
 

@@ -6,13 +6,14 @@ limbs are as far apart as the body between them is long.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from .fracture_modes import laplacian, neighbours
 from .mesh import Surface
@@ -21,14 +22,12 @@ from .solid import Solid, sums
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
-NEAREST = 8  # cells that a vertex takes its values from
-
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """positions: (V, 3), centred, of unit mean square. functions: (V, K) at the surface's vertices, the first
-    non-constant eigenfunctions, each of unit mean square over the solid. means: (K, A), over each atom.
-    values: (K,), their eigenvalues."""
+    """positions: (V, 3), centred, of unit mean square. functions: (V, R, K) averaged over patches of R radii about
+    the surface's vertices, the first non-constant eigenfunctions, each of unit mean square over the solid.
+    means: (K, A), over each atom. values: (K,), their eigenvalues."""
 
     positions: FloatArray
     functions: FloatArray
@@ -37,14 +36,15 @@ class Spectrum:
 
     @property
     def coordinates(self) -> FloatArray:
-        """(V, 3 + K): positions, then functions."""
-        return np.hstack([self.positions, self.functions])
+        """(V, 3 + R K): positions, then functions."""
+        return np.hstack([self.positions, self.functions.reshape(len(self.positions), -1)])
 
 
-def spectrum(solid: Solid, atom: IntArray, surface: Surface, count: int) -> Spectrum:
+def spectrum(solid: Solid, atom: IntArray, surface: Surface, count: int, radii: Sequence[float]) -> Spectrum:
     """The first ``count`` non-constant eigenfunctions of the finite-volume Laplacian of a solid's cells.
 
-    atom: (C,), the atom of each cell.
+    atom: (C,), the atom of each cell. radii: standard deviations of the Gaussian patches, in units of the largest
+    extent: a contact is no point, and how large it is is left to a model to find.
     """
     pairs, _, conductance = neighbours(solid)
     cells = len(solid.volumes)
@@ -52,13 +52,18 @@ def spectrum(solid: Solid, atom: IntArray, surface: Surface, count: int) -> Spec
     root = sp.diags(1.0 / np.sqrt(share))
     stiffness = root @ laplacian(pairs, conductance, cells) @ root / solid.volumes.sum()
     count = min(count, cells - 3)
-    start = np.ones(cells)  # a fixed start makes the solver repeatable
-    values, vectors = eigsh(stiffness, k=count + 1, sigma=-1e-2, v0=start)
+    guess = np.ones(cells)  # a fixed start makes the solver repeatable
+    values, vectors = eigsh(stiffness, k=count + 1, sigma=-1e-2, v0=guess)
     functions = root @ vectors[:, 1:]
-    distance, near = cKDTree(solid.centroids).query(surface.vertices, k=min(NEAREST, cells))
-    weight = 1.0 / np.maximum(distance, 1e-3)
-    weight /= weight.sum(axis=1, keepdims=True)
-    at_vertices = np.einsum("vn,vnk->vk", weight, functions[near])
+    weighted = np.hstack([functions, np.ones((cells, 1))]) * share[:, None]
+    at_vertices = np.empty((len(surface.vertices), len(radii), functions.shape[1]))
+    for start in range(0, len(surface.vertices), 512):
+        block = surface.vertices[start : start + 512]
+        square = cdist(block, solid.centroids, "sqeuclidean")
+        square -= square.min(axis=1, keepdims=True)  # so that no patch underflows, however small
+        for row, radius in enumerate(radii):
+            total = np.exp(square / (-2 * radius**2)) @ weighted
+            at_vertices[start : start + 512, row] = total[:, :-1] / total[:, -1:]
     atoms = int(atom.max()) + 1
     means = sums(atom, share[:, None] * functions, atoms) / sums(atom, share, atoms)[:, None]
     positions = surface.vertices - share @ solid.centroids

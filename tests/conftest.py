@@ -7,11 +7,21 @@ import trimesh
 
 import fracsim
 from fracsim.baking import BakeOptions
+from fracsim.generator import TruthOptions
+from fracsim.mesh import read_surface
+from fracsim.models.fit_field import FieldOptions
+from fracsim.storage import make_dataset
 from fracsim.train import TrainingOptions
 
 SHIPPED = ("bunny", "chair", "vase")
+LEARNING = TrainingOptions("adamw", 3e-3, 1e-3, "cosine", batch=256, steps=300)
 QUICK = BakeOptions(
-    cells=800, modes=5, samples=3000, eigenfunctions=24, evaluated=60, workers=1, training=TrainingOptions(steps=300)
+    cells=800,
+    modes=5,
+    samples=3000,
+    evaluated=60,
+    workers=1,
+    model=FieldOptions(eigenfunctions=24, training=LEARNING),
 )
 
 
@@ -31,3 +41,12 @@ def slab_mesh():
 @pytest.fixture(scope="session")
 def slab(slab_mesh):
     return fracsim.bake(slab_mesh, material="glass", seed=3, options=QUICK)
+
+
+@pytest.fixture(scope="session")
+def torus_dataset(tmp_path_factory):
+    """A file of 800 fractures of a small torus, for what learns from datasets."""
+    surface = read_surface(trimesh.creation.torus(0.5, 0.2, major_sections=24, minor_sections=12))
+    path = tmp_path_factory.mktemp("torus") / "torus.h5"
+    make_dataset(path, surface, 800, 1, TruthOptions(cells=800, modes=5))
+    return path

@@ -6,15 +6,18 @@ import importlib.util
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_generators_page_holds_the_tables_that_the_benchmarks_wrote():
+@pytest.mark.parametrize(("name", "blocks"), [("generator", 7), ("results", 13)])
+def test_a_page_holds_the_tables_that_the_benchmarks_wrote(name, blocks):
     spec = importlib.util.spec_from_file_location("tables", ROOT / "benchmarks" / "tables.py")
     tables = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(tables)
-    page = tables.PAGE.read_text(encoding="utf-8")
-    assert len(tables.BLOCK.findall(page)) == 7
+    page = next(page for page in tables.PAGES if page.stem == name).read_text(encoding="utf-8")
+    assert len(tables.BLOCK.findall(page)) == blocks
     assert tables.filled(page) == page
 
 

@@ -21,7 +21,6 @@ from fracsim.fracture_modes import fracture_modes
 from fracsim.generator import Blows, TruthOptions, make_generator, modal_from
 from fracsim.mesh import Surface, read_surface, refine
 from fracsim.solid import Solid, cut_lattice, surface_parts
-from fracsim.train import TrainingOptions
 
 
 def wedge():
@@ -190,8 +189,8 @@ def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
 def test_another_truth_bakes_into_an_asset_that_breaks_and_owns_up_to_what_it_is(tmp_path, monkeypatch):
     monkeypatch.setattr("fracsim.atoms.OBSERVED", 16)
     box = trimesh.creation.box((0.3, 0.2, 0.1))
-    training = TrainingOptions(steps=1000, batch=256)
-    asset = fracsim.bake(box, options=replace(QUICK, truth="radial", cells=400, samples=3000, training=training))
+    model = replace(QUICK.model, response=True)
+    asset = fracsim.bake(box, options=replace(QUICK, truth="radial", cells=400, samples=3000, model=model))
     assert asset.metadata["truth"] == "radial"
     assert asset.metadata["test"]["ari_of_the_atoms"] > 0.3
     assert asset.metadata["test"]["balanced_accuracy"] > 0.7

@@ -1,8 +1,9 @@
 """The default model: impulse in, unsigned distance field out, in numpy alone.
 
-A small network sees where the blow lands and gives, for every interface, how strongly it is moved apart; blows
-that act together add up. Those drives become break scores, and the field is their min-plus product with the
-geodesic distances to the interfaces, which the mesh fixes: nothing per vertex depends on the impulse but that.
+A small network sees where the blow lands and gives how strongly it moves every atom, and, where a truth turns pushes
+into pulls, what it does at every interface beside that; blows that act together add up. What opens an interface
+becomes its break score, and the field is the min-plus product of scores with the geodesic distances to the
+interfaces, which the mesh fixes: nothing per vertex depends on the impulse but that.
 """
 
 from __future__ import annotations
@@ -12,24 +13,25 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 FloatArray = npt.NDArray[np.floating[Any]]
 IntArray = npt.NDArray[np.int64]
 
 TAU = 0.02  # of the largest extent: what a break score of 1/e adds to the distance
 SURE = 1e-3  # scores below it are taken for no crack at all
-FLOOR = 1e-3  # added to squared drives before their logarithm
+FLOOR = 1e-4  # added to squared openings before their logarithm
 
 
 @dataclass(frozen=True, eq=False)
 class FieldModel:
     """Weights of a trained model; every array float32.
 
-    coordinates: (V, D), the surface coordinates of each vertex. widths are those of the weights.
-    weights_k, biases_k: a perceptron from D to I with SiLU between, beside which ``skip`` (D, I) runs straight.
-    slope, offset, push, shear: (I,), from drive to score. normals: (I, 3). severity: the largest seen in training.
+    coordinates: (V, D), the surface coordinates of each vertex. weights_k, biases_k: a perceptron from D to C with
+    SiLU between, beside which ``skip`` (D, C) runs straight. Of the C outputs the first A are potentials of the
+    atoms: an interface opens along the blow by the difference across it. The other 9 I, or none, are a 3 x 3 response
+    of each interface, (3, 3, I): an opening along axis a for a blow along axis b.
+    slope, offset, push, shear: (I,), from opening to score. normals: (I, 3). severity: (1,), the largest seen in
+    training. level: (1,), the score from which an interface counts as a crack.
     """
 
     coordinates: FloatArray
@@ -46,27 +48,44 @@ class FieldModel:
     shear: FloatArray
     normals: FloatArray
     severity: FloatArray
+    level: FloatArray
 
     @classmethod
     def names(cls) -> list[str]:
         return [field.name for field in fields(cls)]
 
+    @property
+    def pass_height(self) -> float:
+        """How far above a sure crack's field that of a barely counted one stands."""
+        return -TAU * float(np.log(self.level[0]))
+
     def scores(
-        self, corners: IntArray, barycentric: FloatArray, directions: FloatArray, severities: FloatArray
+        self,
+        corners: IntArray,
+        barycentric: FloatArray,
+        directions: FloatArray,
+        severities: FloatArray,
+        pairs: IntArray,
     ) -> FloatArray:
         """(I,) the probability that each interface breaks under K contacts acting together.
 
         corners: (K, 3) vertices around each contact point and barycentric (K, 3) coordinates of it;
-        directions: (K, 3) unit; severities: (K,).
+        directions: (K, 3) unit; severities: (K,). pairs: (I, 2) atoms on either side.
         """
-        x = np.einsum("kc,kcd->kd", barycentric, self.coordinates[corners]).astype(np.float32)  # (K, D)
-        moved = x @ self.skip  # (K, I)
+        x = np.einsum("kc,kcd->kd", barycentric.astype(np.float32), self.coordinates[corners])  # (K, D)
+        response = x @ self.skip  # (K, C)
         for weights, biases in ((self.weights_0, self.biases_0), (self.weights_1, self.biases_1)):
             x = x @ weights + biases
             x = x / (1.0 + np.exp(-x))
-        moved += x @ self.weights_2 + self.biases_2
-        moved *= severities[:, None].astype(np.float32)
-        opening = moved.T @ directions.astype(np.float32)  # (I, 3)
+        response += x @ self.weights_2 + self.biases_2
+        response *= severities[:, None].astype(np.float32)
+        way = directions.astype(np.float32)
+        count = len(pairs)
+        atoms = response.shape[1] if response.shape[1] < 9 * count else response.shape[1] - 9 * count
+        moved = response[:, :atoms].T @ way  # (A, 3)
+        opening = moved[pairs[:, 1]] - moved[pairs[:, 0]]
+        if atoms < response.shape[1]:
+            opening += np.einsum("kabi,kb->ia", response[:, atoms:].reshape(-1, 3, 3, count), way)
         normal = np.einsum("ik,ik->i", opening, self.normals)
         tangent = np.maximum(np.einsum("ik,ik->i", opening, opening) - normal**2, 0.0)
         pull, push = np.maximum(normal, 0.0), np.maximum(-normal, 0.0)
@@ -80,25 +99,36 @@ def parting_scores(scores: FloatArray, pairs: IntArray, count: int) -> FloatArra
     the largest score on the way to be cut.
 
     A cut needs every way between two atoms severed, so an interface parts them with the weakest link of its
-    best detour: single linkage over the scores, which equals the bottleneck path along their minimum
-    spanning tree.
+    best detour: single linkage over the scores. Kruskal's algorithm, its union tree left uncompressed: joined
+    smaller to larger it is at most log2(A) deep, and scores rise along it, so that two atoms' bottleneck is the
+    last link climbed before their ways up meet.
     """
-    graph = coo_matrix((np.maximum(scores, 1e-12), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    tree = minimum_spanning_tree(graph.tocsr()).tocoo()
-    bottleneck = np.zeros((count, count))
-    members = {k: np.array([k]) for k in range(count)}
-    group = list(range(count))
-    for k in np.argsort(tree.data, kind="stable").tolist():
-        a, b = group[tree.row[k]], group[tree.col[k]]
-        if len(members[a]) < len(members[b]):
-            a, b = b, a
-        block = np.ix_(members[a], members[b])
-        bottleneck[block] = tree.data[k]
-        bottleneck[block[1].T, block[0].T] = tree.data[k]
-        for atom in members[b].tolist():
-            group[atom] = a
-        members[a] = np.concatenate([members[a], members.pop(b)])
-    return np.asarray(bottleneck[pairs[:, 0], pairs[:, 1]])
+    order = np.argsort(scores, kind="stable")
+    above, size, link = list(range(count)), [1] * count, [len(scores)] * count
+    joins = count - 1
+    for k, (a, b) in enumerate(pairs[order].tolist()):
+        while above[a] != a:
+            a = above[a]
+        while above[b] != b:
+            b = above[b]
+        if a != b:
+            if size[a] < size[b]:
+                a, b = b, a
+            above[b], link[b] = a, k
+            size[a] += size[b]
+            joins -= 1
+            if joins == 0:
+                break
+    parent, rank = np.array(above), np.array(link)
+    a, b = pairs.T
+    last = np.zeros(len(pairs), dtype=np.int64)
+    while True:
+        apart = a != b
+        if not apart.any():
+            return np.asarray(scores[order[last]])
+        low = np.minimum(rank[a], rank[b])
+        last = np.where(apart, low, last)
+        a, b = np.where(apart & (rank[a] == low), parent[a], a), np.where(apart & (rank[b] == low), parent[b], b)
 
 
 def field_from_scores(scores: FloatArray, distances: FloatArray, cap: float) -> npt.NDArray[np.float64]:
@@ -110,5 +140,6 @@ def field_from_scores(scores: FloatArray, distances: FloatArray, cap: float) -> 
     rows = np.flatnonzero(scores > SURE)
     if len(rows) == 0:
         return np.full(distances.shape[1], cap)
-    seen = distances[rows].astype(np.float32) - (TAU * np.log(scores[rows])).astype(np.float32)[:, None]
+    seen = distances[rows].astype(np.float32)
+    seen -= (TAU * np.log(scores[rows])).astype(np.float32)[:, None]
     return np.minimum(seen.min(axis=0), cap).astype(np.float64)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+
+from .graph import SurfaceGraph, highest_around
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -14,38 +14,17 @@ BoolArray = npt.NDArray[np.bool_]
 THRESHOLD = 0.2  # of the largest extent: the thesis's, section 4.8.1
 
 
-def watershed(udf: FloatArray, edges: IntArray, threshold: float = THRESHOLD) -> IntArray:
-    """(V,) basin labels of a vertex field (thesis, Algorithm 1), with the field in the units of ``threshold``.
+def watershed(graph: SurfaceGraph, udf: FloatArray, threshold: float = THRESHOLD) -> IntArray:
+    """(V,) basin labels of a vertex field (thesis, Algorithm 1).
 
-    Flooding from the local maxima in falling order gives every vertex the basin of its highest neighbour;
-    two basins join over an edge of which either end exceeds the threshold. Ties go to the lower index.
+    Flooding from the local maxima in falling order gives every vertex the basin of its highest neighbour, as that is
+    dequeued first; two basins join over an edge of which either end exceeds the threshold, the lower end being
+    dequeued when both have their basins. A vertex counts as visited from when it has a label. Ties go to the lower
+    index, in the queue and among maxima.
     """
-    count = len(udf)
-    rank = np.empty(count, dtype=np.int64)
-    rank[np.lexsort((-np.arange(count), udf))] = np.arange(count)  # a total order: higher field, lower index
-    start, end = np.concatenate([edges, edges[:, ::-1]]).T
-    highest = rank.copy()
-    np.maximum.at(highest, start, rank[end])
-    by_rank = np.argsort(rank)
-    joined = edges[(udf[edges] > threshold).any(axis=1)]
-    rows = np.concatenate([np.arange(count), joined[:, 0]])
-    columns = np.concatenate([by_rank[highest], joined[:, 1]])
-    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
-def watershed_passes(
-    udf: FloatArray, midpoints: FloatArray, edges: IntArray, lengths: FloatArray, links: IntArray
-) -> IntArray:
-    """(V,) labels where the field is also known halfway along every edge, the pass between its two ends.
-
-    A crack that crosses an edge dips there below both ends, so ends join where the pass is at least 0.7 of
-    their mean and more than 0.2 of the edge's length. Links join outright: they run through the solid.
-    """
-    joined = (midpoints > 0.2 * lengths) & (midpoints > 0.7 * udf[edges].mean(axis=1))
-    pairs = np.vstack([edges[joined], links])
-    graph = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(udf), len(udf)))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    pairs = graph.pairs
+    joined = np.maximum(udf[pairs.first], udf[pairs.second]) > threshold
+    return pairs.connected(joined, highest_around(pairs, udf))
 
 
 def flooded_passes(udf: FloatArray, shores: IntArray, own: FloatArray, height: float) -> BoolArray:
@@ -56,5 +35,4 @@ def flooded_passes(udf: FloatArray, shores: IntArray, own: FloatArray, height: f
     when the border is a crack. The flood passes where the field stands more than ``height`` above that, at the
     second highest of the S: a border that other cracks run beside is still high somewhere.
     """
-    second = shores.shape[1] - 2
-    return np.asarray(np.partition(udf[shores] - own, second, axis=1)[:, second] > height)
+    return np.asarray(np.count_nonzero(udf[shores] - own > height, axis=1) >= 2)

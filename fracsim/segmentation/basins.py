@@ -1,0 +1,55 @@
+"""Watershed whose basins are known beforehand: the atoms of a body, which join where no crack runs between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ..breaking import components
+from .watershed import flooded_passes
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Basins:
+    """A atoms and the I interfaces between them, ``pairs`` (I, 2).
+
+    reached: (R,), the interfaces that reach the surface; shores (R, S), vertices along each, and own (R, S), their
+    distances to it. bound: interfaces that bind inner atoms: one that no curve borders follows the neighbour it shares
+    most area with.
+    """
+
+    pairs: IntArray
+    count: int
+    shores: IntArray
+    own: FloatArray
+    reached: IntArray
+    bound: IntArray
+
+    @classmethod
+    def of(
+        cls, shores: IntArray, distances: npt.NDArray[np.floating[Any]], pairs: IntArray, areas: FloatArray, count: int
+    ) -> Self:
+        """shores: (I, S) vertices along every interface, or -1. distances: (I, V) geodesic. areas: (I,)."""
+        reached = np.flatnonzero(shores[:, 0] >= 0)
+        own = np.take_along_axis(distances[reached].astype(np.float64), shores[reached], axis=1)
+        inner = np.setdiff1d(np.arange(count), pairs[reached])
+        bound = [
+            rows[np.argmax(areas[rows])]
+            for atom in inner.tolist()
+            if len(rows := np.flatnonzero((pairs == atom).any(axis=1)))
+        ]
+        return cls(pairs, count, shores[reached], own, reached, np.array(bound, dtype=np.int64))
+
+    def labels(self, udf: FloatArray, height: float) -> IntArray:
+        """(A,) pieces of a field (V,): atoms join where it stands more than ``height`` above what a crack between them
+        would leave."""
+        joined = np.zeros(len(self.pairs), dtype=bool)
+        joined[self.reached] = flooded_passes(udf, self.shores, self.own, height)
+        joined[self.bound] = True
+        return components(joined[None], self.pairs, self.count)[0]

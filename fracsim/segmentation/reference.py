@@ -1,0 +1,168 @@
+"""The thesis's segmentations as it states them, walking a NetworkX graph vertex by vertex. Offline only: what the fast
+ones are proven against, and timed against.
+
+Where the thesis leaves something open, the docstrings of the fast ones say how it is read, in both.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import MissingExtraError
+from .felzenszwalb import SMALLEST, transformed
+from .graph import SurfaceGraph
+from .kmeans import ITERATIONS, centres, features
+from .region_growing import STEP
+
+try:
+    import networkx as nx
+except ImportError as error:
+    raise MissingExtraError("networkx", "bake") from error
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+def prepare(graph: SurfaceGraph, udf: FloatArray) -> nx.Graph:
+    """The graph that the thesis's pipeline has at hand: vertices with their ``udf`` and ``position``, and edges."""
+    result = nx.Graph()
+    for vertex, (height, position) in enumerate(zip(udf.tolist(), graph.vertices.tolist(), strict=True)):
+        result.add_node(vertex, udf=height, position=position)
+    result.add_edges_from(zip(graph.pairs.first.tolist(), graph.pairs.second.tolist(), strict=True))
+    return result
+
+
+def watershed(graph: nx.Graph, threshold: float) -> IntArray:
+    """Algorithm 1."""
+    udf = nx.get_node_attributes(graph, "udf")
+    label = {vertex: vertex for vertex in _maxima(graph, udf)}
+    groups = nx.utils.UnionFind(label)
+    queue = [(-udf[vertex], vertex) for vertex in label]
+    heapq.heapify(queue)
+    while queue:
+        _, vertex = heapq.heappop(queue)
+        for neighbour in graph[vertex]:
+            if neighbour not in label and udf[neighbour] <= udf[vertex]:
+                label[neighbour] = label[vertex]
+                heapq.heappush(queue, (-udf[neighbour], neighbour))
+            elif (
+                neighbour in label
+                and label[neighbour] != label[vertex]
+                and (udf[neighbour] > threshold or udf[vertex] > threshold)
+            ):
+                groups.union(label[neighbour], label[vertex])
+    return np.array([groups[label[vertex]] for vertex in graph])
+
+
+def region_growing(graph: nx.Graph, merged: float) -> IntArray:
+    """Section 4.6.1, Region growing, and section 4.8.1."""
+    udf = nx.get_node_attributes(graph, "udf")
+    seeds = sorted(_maxima(graph, udf), key=lambda vertex: (-udf[vertex], vertex))
+    label = {vertex: number for number, vertex in enumerate(seeds)}
+    top = max(udf.values())
+    last = max(math.ceil(top / STEP), 0)
+    levels: dict[int, list[int]] = {}
+    for vertex in graph:
+        levels.setdefault(min(math.ceil((top - udf[vertex]) / STEP), last), []).append(vertex)
+    waiting: set[int] = set()
+    for level in sorted(levels):
+        waiting.update(vertex for vertex in levels[level] if vertex not in label)
+        grown = True
+        while grown:
+            found = {}
+            for vertex in waiting:
+                votes = Counter(label[neighbour] for neighbour in graph[vertex] if neighbour in label)
+                if votes:
+                    found[vertex] = min(votes, key=lambda region: (-votes[region], region))
+            label.update(found)
+            waiting.difference_update(found)
+            grown = bool(found)
+    groups = nx.utils.UnionFind(range(len(seeds)))
+    for a, b in graph.edges:
+        if label[a] != label[b] and udf[a] >= merged and udf[b] >= merged:
+            groups.union(label[a], label[b])
+    return np.array([groups[label[vertex]] for vertex in graph])
+
+
+def hierarchical(graph: nx.Graph, stop: float) -> IntArray:
+    """Algorithm 3."""
+    udf = nx.get_node_attributes(graph, "udf")
+    clusters = nx.utils.UnionFind(graph)
+    for a, b in sorted(graph.edges, key=lambda edge: udf[edge[0]] + udf[edge[1]], reverse=True):
+        if udf[a] + udf[b] < stop:
+            break
+        if clusters[a] != clusters[b]:
+            clusters.union(a, b)
+    return np.array([clusters[vertex] for vertex in graph])
+
+
+def kmeans(graph: nx.Graph, clusters: float) -> IntArray:
+    """Algorithm 4, from the same first centres as the fast one."""
+    positions = np.array(list(nx.get_node_attributes(graph, "position").values()))
+    heights = np.array(list(nx.get_node_attributes(graph, "udf").values()))
+    array = features(positions, heights)
+    means, items = centres(array, clusters).tolist(), array.tolist()
+    label: list[int] = []
+    for _ in range(ITERATIONS):
+        before = label
+        label = []
+        for item in items:
+            square = [sum((x - y) ** 2 for x, y in zip(item, mean, strict=True)) for mean in means]
+            label.append(square.index(min(square)))
+        if label == before:
+            break
+        for cluster in range(len(means)):
+            members = [item for item, own in zip(items, label, strict=True) if own == cluster]
+            if members:
+                means[cluster] = [sum(column) / len(members) for column in zip(*members, strict=True)]
+    return np.array(label)
+
+
+def felzenszwalb(graph: nx.Graph, scale: float) -> IntArray:
+    """Algorithm 5 with the weights of Eq. 4.6, and the joining of small components that usually follows it."""
+    udf = nx.get_node_attributes(graph, "udf")
+    top = max(udf.values())
+    weight = {(a, b): transformed(udf[a], top) + transformed(udf[b], top) for a, b in graph.edges}
+    edges = sorted(weight, key=lambda edge: (weight[edge], edge))
+    component = {vertex: [vertex] for vertex in graph}  # every vertex of a component knows all of it
+    largest = dict.fromkeys(graph, 0.0)  # weight within, by the component's first vertex
+
+    def join(a: int, b: int) -> None:
+        one, other = component[a], component[b]
+        if len(one) < len(other):
+            one, other = other, one
+        one.extend(other)
+        for vertex in other:
+            component[vertex] = one
+
+    for a, b in edges:
+        one, other = component[a], component[b]
+        bound = min(largest[part[0]] + scale / len(part) for part in (one, other))
+        if one is not other and weight[a, b] <= bound:
+            join(a, b)
+            largest[component[a][0]] = weight[a, b]
+    for a, b in edges:
+        if component[a] is not component[b] and min(len(component[a]), len(component[b])) < SMALLEST:
+            join(a, b)
+    return np.array([component[vertex][0] for vertex in graph])
+
+
+def _maxima(graph: nx.Graph, udf: dict[int, float]) -> list[int]:
+    """Vertices larger than all their neighbours, of equal ones the lower index."""
+    return [v for v in graph if all((udf[v], -v) > (udf[n], -n) for n in graph[v])]
+
+
+# By the names of the fast ones, each from what ``prepare`` gives and its parameter to labels (V,).
+REFERENCES: dict[str, Callable[[nx.Graph, float], IntArray]] = {
+    "watershed": watershed,
+    "region_growing": region_growing,
+    "hierarchical": hierarchical,
+    "kmeans": kmeans,
+    "felzenszwalb": felzenszwalb,
+}
