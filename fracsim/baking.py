@@ -50,7 +50,7 @@ class BakeOptions:
     """truth: "modal", or another of ``generator.TRUTHS``. cells: of the solid. modes: fracture modes.
     samples: impulses to learn from and be tested on. crumb_floor: of the volume; smaller pieces join a neighbour.
     evaluated: test impulses that the figures are taken over, at most. workers: processes. model: the options of the
-    field model; without, its defaults, with a response of every interface's own for any truth but the modal.
+    field model; without, ``model_for`` the truth.
     """
 
     truth: str = "modal"
@@ -72,6 +72,11 @@ class BakeOptions:
     @property
     def truth_options(self) -> TruthOptions:
         return TruthOptions(self.truth, self.cells, self.modes, self.crumb_floor)
+
+
+def model_for(truth: str) -> FieldOptions:
+    """The field model's options for a truth: any but the modal needs a response of every interface's own."""
+    return FieldOptions(response=truth != "modal")
 
 
 def bake(
@@ -112,8 +117,7 @@ def bake(
         tick = stage.ticker("samples")
         samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
         tick = stage.ticker("training")
-        learning = options.model or FieldOptions(response=kind != "modal")
-        model, figures = Field.fit(body, samples, learning, seed, Run(progress=tick))
+        model, figures = Field.fit(body, samples, options.model or model_for(kind), seed, Run(progress=tick))
         tick = stage.ticker("convex")
         complex_ = AtomComplex(solid.points, solid.triangles, solid.sides)
         one = np.eye(complex_.count, dtype=bool)

@@ -155,11 +155,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _bake(options: argparse.Namespace) -> dict[str, Any]:
-    from .baking import BakeOptions, bake
-    from .models.fit_field import FieldOptions
+    from .baking import BakeOptions, bake, model_for
 
     out = options.out or Path(options.mesh.stem + ".frac")
-    learning = FieldOptions(response=options.truth != "modal")
+    learning = model_for(options.truth)
     learning = replace(learning, training=replace(learning.training, steps=options.steps))
     asset = bake(
         options.mesh,

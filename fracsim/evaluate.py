@@ -267,13 +267,8 @@ class Bench:
         return {"amae": float(np.mean(amae)), "mse": metrics.mse(true, fields)}, amae
 
     def _scores(self, samples: Samples, k: int, labels: IntArray) -> dict[str, float]:
-        body, truth = self.body, samples.labels[k][self.body.vertex_atom]
-        return {
-            "ari": metrics.ari(truth, labels),
-            "ami": metrics.ami(truth, labels),
-            "bc": metrics.boundary_chamfer(body.vertices, self.graph.edges, truth, labels),
-            "rc": metrics.region_chamfer(body.vertices, truth, labels),
-        }
+        truth = samples.labels[k][self.body.vertex_atom]
+        return metrics.partition_scores(self.body.vertices, self.graph.edges, truth, labels)
 
     # Models
 
@@ -378,7 +373,7 @@ class Bench:
             udf = fields[k].astype(np.float64)
             graph = reference.prepare(self.graph, udf)
             begin = time.perf_counter()
-            getattr(reference, name)(graph, DEFAULTS[name])
+            reference.REFERENCES[name](graph, DEFAULTS[name])
             spent.append((time.perf_counter() - begin) * 1e3)
         return spent
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -112,10 +113,13 @@ class ModalGenerator:
     energies: tuple[tuple[float, ...], ...]
     fixed_cracks: bool = True
 
+    @cached_property
+    def points(self) -> SurfacePoints:
+        return SurfacePoints(self.surface.vertices, self.surface.faces)
+
     def drives(self, blows: Blows) -> FloatArray:
         """(N, I) effective jumps across the interfaces, 1 being what breaks them; proportional to severity."""
-        points = SurfacePoints(self.surface.vertices, self.surface.faces)
-        field = points.rows(self.rows, blows.faces, blows.barycentric)
+        field = self.points.rows(self.rows, blows.faces, blows.barycentric)
         return drives(field, blows.directions, blows.severities, self.interfaces)
 
     def thresholds(self, blows: Blows) -> FloatArray:

@@ -57,7 +57,7 @@ def write_report(plan: Plan, found: dict[str, Any], out: Path, work: Path, comma
     rows, published = found["rows"], found["plan"]["published"]
     told = [{**row, "model": f"{row['model']}, {PARTED}"} for row in published]
     texts = {"accuracy.json": json.dumps({"command": command, **found}, indent=1)}
-    for name, table in _tables(rows, told, found["fits"]).items():
+    for name, table in _tables(plan, rows, told, found["fits"]).items():
         texts[f"evaluation_{name}.md"] = table
     written = []
     for name, text in texts.items():
@@ -87,10 +87,11 @@ def write_report(plan: Plan, found: dict[str, Any], out: Path, work: Path, comma
 # Tables
 
 
-def _tables(rows: list[Row], told: list[Row], fits: list[Row]) -> dict[str, str]:
-    base = [name for name in dict.fromkeys(row["mesh"] for row in rows) if "x" not in name.split()[-1]]
-    first = next(iter(dict.fromkeys(row["mesh"] for row in rows)), "")
-    finer = [name for name in dict.fromkeys(row["mesh"] for row in rows) if name.startswith(first)]
+def _tables(plan: Plan, rows: list[Row], told: list[Row], fits: list[Row]) -> dict[str, str]:
+    measured = [mesh for mesh in plan.meshes if _of(rows, mesh=mesh.name)]
+    base = [mesh.name for mesh in measured if not mesh.splits]
+    first = measured[0].name if measured else ""
+    finer = [mesh.name for mesh in measured if mesh.file == measured[0].file]
     tables = {}
     for name, mesh in (("5_10", first), *((f"a_{k}", mesh) for k, mesh in enumerate(base[1:], 1))):
         tables[name] = _table([*_of(told, mesh=mesh), *_of(rows, mesh=mesh)], ("model", "segmentation"), MAIN)

@@ -275,10 +275,8 @@ def _segmented(body: Body, samples: Samples, model: Any, graph: SurfaceGraph) ->
     for k, udf in enumerate(model.predict(parted.blows) if len(parted) else ()):
         truth = parted.labels[k][body.vertex_atom]
         labels = METHODS["watershed"](graph, udf.astype(np.float64), DEFAULTS["watershed"])
-        found["bc"].append(metrics.boundary_chamfer(body.vertices, graph.edges, truth, labels))
-        found["rc"].append(metrics.region_chamfer(body.vertices, truth, labels))
-        found["ari"].append(metrics.ari(truth, labels))
-        found["ami"].append(metrics.ami(truth, labels))
+        for name, value in metrics.partition_scores(body.vertices, graph.edges, truth, labels).items():
+            found[name].append(value)
     return {name: float(np.mean(values)) for name, values in found.items() if values}
 
 

@@ -29,6 +29,7 @@ from ..segmentation.basins import Basins
 from ..spectrum import Spectrum, spectrum
 from ..storage import Dataset
 from ..udf import CAP, CurveDistances, interface_distances, split_in_four
+from .field import field_from_scores
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -126,13 +127,10 @@ class Body:
     def fields(self, labels: IntArray, nodes: bool = False) -> Float32Array:
         """(N, V) the true fields of fractures that leave the atoms labels (N, A): the least distance to an interface
         that parts two pieces. nodes: (N, V + E), at the edge midpoints as well."""
-        parted = separated(labels, self.interfaces.pairs)
+        parted = separated(labels, self.interfaces.pairs).astype(np.float64)
         distances = self.distances if nodes else self.distances[:, : len(self.vertices)]
-        result = np.full((len(labels), distances.shape[1]), CAP, dtype=np.float32)
-        for row, chosen in enumerate(parted):
-            if chosen.any():
-                result[row] = distances[chosen].min(axis=0)
-        return result
+        fields = [field_from_scores(row, distances, CAP) for row in parted]
+        return np.array(fields, dtype=np.float32).reshape(len(labels), distances.shape[1])
 
 
 class Model(Protocol):

@@ -191,16 +191,13 @@ class _Points:
         self.vertices = len(body.vertices)
         self.count = len(samples) * self.vertices
         self.impulses = torch.as_tensor(model.inputs(body, samples.blows), device=device)
-        nodes, _, _, face_edges = split_in_four(body.surface)
+        nodes, fine, _, _ = split_in_four(body.surface)
         self.nodes = torch.as_tensor(nodes, dtype=torch.float32, device=device)
         self.anywhere = model.options.points == "surface"
         self.targets = Targets(body, samples.labels, device, nodes=self.anywhere)
         share = SurfacePoints(body.vertices, body.faces).share
         self.below = torch.as_tensor(np.cumsum(share))
-        # (F, 4, 3) the nodes of each quarter: at corners a, b and c, and the middle one.
-        (a, b, c), (x, y, z) = body.faces.T, (face_edges + self.vertices).T
-        quarters = np.stack([[a, x, z], [x, b, y], [z, y, c], [x, y, z]]).transpose(2, 0, 1)
-        self.quarters = torch.as_tensor(np.ascontiguousarray(quarters))
+        self.quarters = torch.as_tensor(fine.reshape(-1, 4, 3))  # (F, 4, 3): at the corners, and the middle one
         held_out = validation.rows(slice(VALIDATED))
         rng = np.random.default_rng(0)
         self.asked = rng.integers(0, self.vertices, (len(held_out), min(64, self.vertices)))

@@ -122,6 +122,7 @@ class _SharedLearner:
         return float(np.mean(losses))
 
 
+@dataclass(frozen=True, eq=False)
 class SharedField(Field):
     """The shared numbers, at home in one body; ``on`` takes them to another."""
 
@@ -169,10 +170,7 @@ class SharedField(Field):
         with torch.no_grad():
             for name, value in shared.numbers(hats(geometry.values, options.knots)).items():
                 getattr(net, name).copy_(value)
-        model = cls(body, frozen(net, body, geometry, float(numbers["severity"][0])))
-        object.__setattr__(model, "numbers", numbers)
-        object.__setattr__(model, "options", options)
-        return model
+        return cls(body, frozen(net, body, geometry, float(numbers["severity"][0])), numbers, options)
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
         told = {"knots": self.options.knots, "eigenfunctions": self.options.eigenfunctions}
