@@ -457,6 +457,13 @@ def load(source: str | os.PathLike[str]) -> BreakableAsset:
     return _parse(path.read_bytes(), str(path))
 
 
+def header_of(data: bytes, key: str) -> dict[str, Any]:
+    """What is told under ``key`` in the metadata of a safetensors file that has been found to be one. Raises KeyError,
+    ValueError or TypeError where there is nothing of the kind."""
+    length = int.from_bytes(data[:8], "little")
+    return json.loads(json.loads(data[8 : 8 + length])["__metadata__"][key])
+
+
 def _parse(data: bytes, where: str) -> BreakableAsset:
     from safetensors import SafetensorError
     from safetensors.numpy import load as load_tensors
@@ -464,8 +471,7 @@ def _parse(data: bytes, where: str) -> BreakableAsset:
     again = "bake it again with: fracsim bake"
     try:
         tensors = load_tensors(data)
-        length = int.from_bytes(data[:8], "little")
-        header = json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["fracsim"])
+        header = header_of(data, "fracsim")
     except SafetensorError as error:
         raise AssetError(f"{where}: truncated or not an asset ({error}); {again}") from error
     except (KeyError, ValueError, TypeError) as error:

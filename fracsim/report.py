@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -15,7 +14,7 @@ from .asset import write_beside
 from .errors import MissingExtraError
 from .evaluate import Plan, kept_of, surface_of
 from .mesh import Surface
-from .view import draw_mesh, view_frame
+from .view import as_png, draw_mesh, view_frame
 
 try:
     import matplotlib
@@ -69,7 +68,7 @@ def write_report(plan: Plan, found: dict[str, Any], out: Path, work: Path, comma
         "evaluation_5_9": _fronts(plan.studies),
         "evaluation_breaks": _curves(rows),
     }
-    pictures = {name: _png(figure) for name, figure in figures.items() if figure is not None}
+    pictures = {name: as_png(figure, 110) for name, figure in figures.items() if figure is not None}
     for mesh in plan.meshes:
         for model in plan.models:
             kept = kept_of(plan, mesh, model, work) if model.name in DRAWN and not mesh.splits else None
@@ -356,10 +355,4 @@ def picture_grid(surface: Surface, kept: dict[str, Any], names: list[str], title
     for axis, name in zip(axes[:, 0], lines, strict=True):
         axis.set_title(name, fontsize=8, loc="left")
     figure.suptitle(title, fontsize=9)
-    return _png(figure, 80)
-
-
-def _png(figure: Figure, dpi: int = 110) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=dpi)
-    return buffer.getvalue()
+    return as_png(figure, 80)

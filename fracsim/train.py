@@ -26,7 +26,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from .asset import write_beside
+from .asset import header_of, write_beside
 from .breaking import separated
 from .errors import MissingExtraError, ModelError
 from .metrics import ALPHA
@@ -430,8 +430,7 @@ class _Training:
         data = path.read_bytes()
         try:
             tensors = load(data)
-            length = int.from_bytes(data[:8], "little")
-            header = json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["fracsim_checkpoint"])
+            header = header_of(data, "fracsim_checkpoint")
         except (SafetensorError, KeyError, ValueError, TypeError) as error:
             raise ModelError(f"{path}: not a checkpoint of fracsim; name another file or remove it") from error
         if header.get("format") != FORMAT or header.get("identity") != self.identity:

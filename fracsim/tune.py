@@ -6,7 +6,6 @@ file, or a database, that any number of processes work on at once; any of them m
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import platform
@@ -26,6 +25,7 @@ from .errors import FieldError, MissingExtraError, ModelError
 from .models.base import Body, model_class
 from .segmentation import DEFAULTS, METHODS, SurfaceGraph
 from .train import Run
+from .view import as_png
 
 try:
     import matplotlib
@@ -475,18 +475,12 @@ def write_figures(found: dict[str, Any], out: Path) -> list[Path]:
     """
     files = {"trials.json": (json.dumps(found, indent=1) + "\n").encode()}
     if found["chosen"] is not None:
-        files |= {"pareto.png": _png(_pareto(found)), "parallel.png": _png(_parallel(found))}
+        files |= {"pareto.png": as_png(_pareto(found), 130), "parallel.png": as_png(_parallel(found), 130)}
         if found["importances"]:
-            files["importances.png"] = _png(_importances(found))
+            files["importances.png"] = as_png(_importances(found), 130)
     for name, data in files.items():
         write_beside(out / name, data)
     return [out / name for name in files]
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130)
-    return buffer.getvalue()
 
 
 def _finished(found: dict[str, Any]) -> list[dict[str, Any]]:

@@ -73,9 +73,13 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
         left.set_title(f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × threshold, {count} pieces", fontsize=8)
         right.set_title("distance to the nearest crack", fontsize=8)
     figure.suptitle(name, fontsize=9)
+    write_beside(Path(out), as_png(figure, 100))
+
+
+def as_png(figure: Figure, dpi: int) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
-    write_beside(Path(out), buffer.getvalue())
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
 
 
 def _enough(blocks: Iterator[Samples]) -> Iterator[Samples]:

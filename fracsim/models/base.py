@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from ..asset import write_beside
+from ..asset import header_of, write_beside
 from ..atoms import Atoms, atoms_for
 from ..breaking import Interfaces, separated
 from ..dataset import Samples
@@ -102,14 +102,19 @@ class Body:
         return vertex_cells(parts.triangles, parts.sides, len(parts.points))[: len(self.vertices)]
 
     @cached_property
+    def split(self) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
+        """``udf.split_in_four`` of the surface."""
+        return split_in_four(self.surface)
+
+    @property
     def nodes(self) -> FloatArray:
         """(V + E, 3): the vertices, then the midpoints of ``edges``."""
-        return split_in_four(self.surface)[0]
+        return self.split[0]
 
-    @cached_property
+    @property
     def edges(self) -> IntArray:
         """(E, 2) in lexicographic order."""
-        return split_in_four(self.surface)[2]
+        return self.split[2]
 
     @cached_property
     def links(self) -> IntArray:
@@ -188,8 +193,7 @@ def load_model(path: str | Path, body: Body) -> tuple[Any, dict[str, Any]]:
     data = path.read_bytes()
     try:
         arrays = load(data)
-        length = int.from_bytes(data[:8], "little")
-        header = json.loads(json.loads(data[8 : 8 + length])["__metadata__"]["fracsim_model"])
+        header = header_of(data, "fracsim_model")
     except SafetensorError as error:
         raise ModelError(f"{path}: truncated or not a model ({error}); train it again with: fracsim train") from error
     except (KeyError, ValueError, TypeError) as error:

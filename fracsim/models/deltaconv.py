@@ -23,10 +23,10 @@ from ..errors import MissingExtraError, ModelError
 from ..generator import Blows
 from ..mesh import Surface
 from ..metrics import amae
-from ..train import Run, Targets, TrainingOptions, amae_loss, device_for, train
+from ..train import Run, Targets, TrainingOptions, amae_loss, train
 from ..udf import CAP
 from .base import Body
-from .mlp import ImpulseInputs, check_sizes, load_weights
+from .mlp import ImpulseInputs, begun, check_sizes, load_weights
 
 try:
     import torch
@@ -49,7 +49,7 @@ class DeltaConvOptions:
     summed up in. neighbours: of a vertex, itself not counted. kernel: width of the gradient's Gaussian, in mean
     distances between neighbours (defaults: thesis, Table 5.6). dropout: in the head. severity: whether the impulse's
     strength is an input; the thesis's own has none. filled: see ``train.amae_loss``. training: its batch is a number
-    of impulses."""
+    of impulses; one alone is the same at every vertex, which batch normalisation takes away."""
 
     layers: int = 2
     width: int = 292
@@ -322,13 +322,7 @@ class DeltaConv:
     def fit(
         cls, body: Body, samples: Samples, options: DeltaConvOptions, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
-        device = device_for(options.training)
-        torch.manual_seed(seed)
-        parts = samples.part(0), samples.part(1)
-        for part, name in zip(parts, ("training", "validation"), strict=True):
-            if not len(part):
-                raise ModelError(f"there are no {name} samples; make more with: fracsim dataset make")
-        inputs = ImpulseInputs.of(body, parts[0], options.severity)
+        device, parts, inputs = begun(body, samples, options, seed)
         model = cls(body, DeltaNet(3 + inputs.count, options).to(device), inputs, options)
         return model, train(_Meshes(model, *parts, device), options.training, seed, run)
 

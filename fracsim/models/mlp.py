@@ -15,7 +15,7 @@ from ..generator import Blows
 from ..metrics import amae
 from ..sampling import SurfacePoints
 from ..train import Run, Targets, TrainingOptions, amae_loss, device_for, train
-from ..udf import CAP, split_in_four
+from ..udf import CAP
 from .base import Body
 from .nearest import resultant
 
@@ -49,6 +49,19 @@ class MLPOptions:
         check_sizes(self, ("width", "layers"))
         if self.points not in POINTS:
             raise ModelError(f"unknown points {self.points!r}; use one of {', '.join(POINTS)}")
+
+
+def begun(
+    body: Body, samples: Samples, options: Any, seed: int
+) -> tuple[torch.device, tuple[Samples, Samples], ImpulseInputs]:
+    """How fitting a network of whole fields begins: the device, training and validation samples, and the inputs that
+    the former call for. Seeds torch."""
+    torch.manual_seed(seed)
+    parts = samples.part(0), samples.part(1)
+    for part, name in zip(parts, ("training", "validation"), strict=True):
+        if not len(part):
+            raise ModelError(f"there are no {name} samples; make more with: fracsim dataset make")
+    return device_for(options.training), parts, ImpulseInputs.of(body, parts[0], options.severity)
 
 
 def check_sizes(options: Any, names: tuple[str, ...]) -> None:
@@ -122,13 +135,7 @@ class MLP:
     def fit(
         cls, body: Body, samples: Samples, options: MLPOptions, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
-        device = device_for(options.training)
-        torch.manual_seed(seed)
-        parts = samples.part(0), samples.part(1)
-        for part, name in zip(parts, ("training", "validation"), strict=True):
-            if not len(part):
-                raise ModelError(f"there are no {name} samples; make more with: fracsim dataset make")
-        inputs = ImpulseInputs.of(body, parts[0], options.severity)
+        device, parts, inputs = begun(body, samples, options, seed)
         net = Perceptron(3 + inputs.count, options.width, options.layers).to(device)
         model = cls(body, net, inputs, options)
         return model, train(_Points(model, *parts, device), options.training, seed, run)
@@ -191,7 +198,7 @@ class _Points:
         self.vertices = len(body.vertices)
         self.count = len(samples) * self.vertices
         self.impulses = torch.as_tensor(model.inputs(body, samples.blows), device=device)
-        nodes, fine, _, _ = split_in_four(body.surface)
+        nodes, fine, _, _ = body.split
         self.nodes = torch.as_tensor(nodes, dtype=torch.float32, device=device)
         self.anywhere = model.options.points == "surface"
         self.targets = Targets(body, samples.labels, device, nodes=self.anywhere)
