@@ -1,4 +1,4 @@
-"""Shapes that nothing here was tuned on: do they all bake? ``python benchmarks/shapes.py`` (about 10 minutes).
+"""Shapes that nothing here was tuned on: do they all bake? ``python benchmarks/shapes.py`` (about 20 minutes).
 
 A torus, a comb, a cup with a handle, a long rod and a thin plate with holes. For each, the figures of its bake, and
 three of them drawn in pieces. Writes benchmarks/results/shapes.{json,md,png}.
