@@ -1,4 +1,4 @@
-"""Copy the tables of benchmarks/results into the pages of docs that name them: ``python benchmarks/tables.py``."""
+"""Copy the tables of benchmarks/results into the pages that name them: ``python benchmarks/tables.py``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 
 HERE = Path(__file__).parent
-PAGES = (HERE.parent / "docs" / "generator.md", HERE.parent / "docs" / "results.md")
+DOCS = HERE.parent / "docs"
+PAGES = (HERE.parent / "README.md", DOCS / "generator.md", DOCS / "results.md", DOCS / "runtime.md")
 BLOCK = re.compile(r"(<!-- results/(\w+)\.md -->\n).*?(<!-- end -->)", re.DOTALL)
 
 

@@ -63,7 +63,7 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
 
     `s * (broke - landed + loss + 0.02 * new + 0.01 * speed) - 0.01 * mean(action²)`
 
-    - broke, landed: 1 in the step in which it breaks, or in which it has come to rest whole; otherwise 0.
+    - broke, landed: 1 in a step in which something breaks, or in which it has come to rest whole; otherwise 0.
     - loss: the share of the whole by which the largest piece shrank. new: by how many the pieces increased.
     - speed: min(1, v² / (2 g drop_height)), while it is whole.
 
@@ -72,7 +72,7 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
     point `drop_height` above it. `reset(options=...)` may set "orientation" (x, y, z, w) and "drop_height".
 
     ## Episode End
-    Termination: 0.5 s after it broke, or when it has been at rest, whole, for 0.25 s.
+    Pieces may break again. Termination: 0.5 s after it first broke, or when it has been at rest, whole, for 0.25 s.
     Truncation: after 300 steps, 5 s at the default rate.
 
     ## Information
@@ -148,6 +148,7 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
         position = (-center[0], -center[1], self._fall - lowest)
         self._body = self._world.add(self.asset, position, orientation)
         self._world.on_contact(self._feel)
+        self._masses = {self._body: self.asset.mass}  # of the body or, once it broke, of every piece
         self._pieces, self._intact = 1, 1.0
         self._impulse = self._strongest = 0.0
         self._broke_at, self._still_since = np.inf, 0.0
@@ -164,10 +165,12 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
             if self._pieces == 1:
                 self._scene.push(self._body, force, torque)
             for event in self._world.step():
-                masses = [piece.mass for piece in event.fracture.pieces]
-                self._body = event.children[int(np.argmax(masses))]
-                self._pieces, self._intact = len(masses), max(masses) / self.asset.mass
-                self._broke_at = self._world.time
+                self._masses.pop(event.parent)
+                masses = (piece.mass for piece in event.fracture.pieces)
+                self._masses.update(zip(event.children, masses, strict=True))
+                self._body = max(self._masses, key=self._masses.__getitem__)
+                self._pieces, self._intact = len(self._masses), self._masses[self._body] / self.asset.mass
+                self._broke_at = min(self._broke_at, self._world.time)
                 events.append(event)
 
         now = self._world.time

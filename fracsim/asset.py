@@ -6,8 +6,8 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -22,7 +22,7 @@ from .errors import AssetError, FieldError, FracsimError
 from .impulse import Impulse, as_impulses
 from .material import Material, as_material
 from .models.field import FieldModel, field_from_scores, parting_scores
-from .pieces import AtomComplex, Hull, Piece, vertex_cells
+from .pieces import AtomComplex, Hull, Parts, Piece, vertex_cells
 from .sampling import CONE, SurfacePoints, cone, ratios
 from .segmentation.basins import Basins
 
@@ -84,8 +84,38 @@ class AssetArrays:
         return vertex_cells(self.triangles, self.sides, len(self.points))[: len(self.rows)]
 
     @cached_property
+    def coast(self) -> tuple[IntArray, FloatArray]:
+        """(U,) the vertices along any shore, all that a segmentation asks a field for, and their distances (I, U)."""
+        vertices = np.unique(self.shores[self.shores >= 0])
+        return vertices, np.ascontiguousarray(self.distances[:, vertices])
+
+    @cached_property
     def basins(self) -> Basins:
-        return Basins.of(self.shores, self.distances, self.pairs, self.areas, self.complex.count)
+        """On the vertices of the coast."""
+        vertices, distances = self.coast
+        shores = np.where(self.shores >= 0, np.searchsorted(vertices, self.shores), -1)
+        return Basins.of(shores, distances, self.pairs, self.areas, self.complex.count)
+
+    @cached_property
+    def whole(self) -> Domain:
+        return Domain.of(np.arange(self.complex.count), self.interfaces, self.moments[0])
+
+    @cached_property
+    def parts(self) -> Parts:
+        """The atoms' convex parts."""
+        return Parts.of(np.split(self.hull_points, np.cumsum(self.hull_sizes[:, 0])[:-1]))
+
+    @cached_property
+    def body_parts(self) -> Parts:
+        return Parts.of(np.split(self.body_points, np.cumsum(self.body_sizes[:, 0])[:-1]))
+
+    @cached_property
+    def part_rows(self) -> list[list[int]]:
+        """Which of the parts each atom has."""
+        rows: list[list[int]] = [[] for _ in range(self.complex.count)]
+        for k, atom in enumerate(self.hull_atoms.tolist()):
+            rows[atom].append(k)
+        return rows
 
     @cached_property
     def weakest(self) -> tuple[FloatArray, FloatArray]:
@@ -119,22 +149,62 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
+class Domain:
+    """The atoms (A,) of what is struck, all of an asset's or those of a piece, and what holds them together: the
+    interfaces between two of them, ``rows`` (I,) of the asset's, with pairs that count within the domain.
+
+    inside: (all interfaces,), which they are. volumes: (A,). share: of the asset's volume.
+    """
+
+    atoms: IntArray
+    rows: IntArray
+    interfaces: Interfaces
+    inside: npt.NDArray[np.bool_]
+    volumes: FloatArray
+    share: float
+
+    @classmethod
+    def of(cls, atoms: IntArray, interfaces: Interfaces, volumes: FloatArray) -> Domain:
+        local = np.full(len(volumes), -1)
+        local[atoms] = np.arange(len(atoms))
+        pairs = local[interfaces.pairs]
+        inside = np.asarray((pairs >= 0).all(axis=1))
+        kept = Interfaces(
+            pairs[inside], interfaces.areas[inside], interfaces.normals[inside], interfaces.projected[inside]
+        )
+        share = float(volumes[atoms].sum() / volumes.sum())
+        return cls(atoms, np.flatnonzero(inside), kept, inside, volumes[atoms], share)
+
+
+@dataclass(frozen=True, eq=False)
 class Fracture:
     """What a blow does to an asset.
 
-    labels: (V,), the piece that each vertex lies on. udf: (V,) m, distance to the nearest crack, capped.
     pieces: one for each label; a single one is the unbroken body. timings: ms by stage.
     severity: the impulse over mass times breaking velocity; clamped: whether it lay beyond what the model was
     trained on and was lowered to that.
+    crack_area: m², of the cracks, each interface's projected on its mean plane.
+    labels: (V,), the piece that each vertex lies on; -1 where it lies on none, as the asset is broken already.
+    udf: (V,) m, distance to the nearest crack, capped. These two are worked out when first asked for: the pieces
+    need the field along the interfaces only.
     """
 
-    labels: IntArray
-    udf: FloatArray
     pieces: tuple[Piece, ...]
     timings: dict[str, float]
     predictor: str
     severity: float
     clamped: bool
+    crack_area: float
+    build_labels: Callable[[], IntArray] = field(repr=False)
+    build_udf: Callable[[], FloatArray] = field(repr=False)
+
+    @cached_property
+    def labels(self) -> IntArray:
+        return self.build_labels()
+
+    @cached_property
+    def udf(self) -> FloatArray:
+        return self.build_udf()
 
     @property
     def broken(self) -> bool:
@@ -207,6 +277,21 @@ class BreakableAsset:
         arrays = self.arrays
         return self._hulls(arrays.body_points, arrays.body_faces, arrays.body_sizes)
 
+    @property
+    def parts(self) -> Parts:
+        """The same as an engine takes them in."""
+        return replace(self.arrays.body_parts, scale=self.scale, offset=self.offset)
+
+    @cached_property
+    def reach(self) -> float:
+        """m, from the centre of mass to the furthest point."""
+        return float(np.linalg.norm(self.vertices - self.center_of_mass, axis=1).max())
+
+    @property
+    def bearable_impulse(self) -> float:
+        """N·s: impulses that sum to less break nothing, wherever they act."""
+        return float(self._weakest[1].min()) * self.mass * self.material.breaking_velocity
+
     @cached_property
     def breaking_impulse(self) -> FloatArray:
         """(V,) N·s: no single impulse below it on the faces around that vertex breaks anything, whichever way."""
@@ -228,9 +313,7 @@ class BreakableAsset:
         """False when these impulses together are surely too weak; costs no model query."""
         impulses = as_impulses(impulses)
         corners, barycentric = self._locate(np.array([impulse.point for impulse in impulses]))
-        unit = self.mass * self.material.breaking_velocity
-        severities = np.array([impulse.magnitude for impulse in impulses]) / unit
-        return self._may_break(corners, barycentric, severities)
+        return self._may_break(corners, barycentric, self._severities(impulses))
 
     @cached_property
     def _weakest(self) -> tuple[FloatArray, FloatArray]:
@@ -240,9 +323,15 @@ class BreakableAsset:
         least = np.full(self.vertex_count, self.truth.least)
         return least, least
 
-    def _may_break(self, corners: IntArray, barycentric: FloatArray, severities: FloatArray) -> bool:
+    def _severities(self, impulses: Sequence[Impulse]) -> FloatArray:
+        return np.array([impulse.magnitude for impulse in impulses]) / (self.mass * self.material.breaking_velocity)
+
+    def _may_break(
+        self, corners: IntArray, barycentric: FloatArray, severities: FloatArray, whole: bool = True
+    ) -> bool:
+        """whole: False for a piece, which has fewer ways to hold together."""
         nearest = corners[np.arange(len(corners)), np.argmax(barycentric, axis=1)]
-        bound = self._weakest[0 if len(corners) == 1 else 1][nearest]
+        bound = self._weakest[0 if len(corners) == 1 and whole else 1][nearest]
         return float((severities / bound).sum()) >= 1.0
 
     def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
@@ -255,56 +344,95 @@ class BreakableAsset:
         """
         return self._fracture(as_impulses(impulses), predictor, gated=True)
 
-    def _fracture(self, impulses: Sequence[Impulse], predictor: str, gated: bool) -> Fracture:
-        """gated: whether blows that are surely too weak are spared the model, which is to be told when it is judged."""
+    def unbroken(self) -> Fracture:
+        """What no impulse at all would do; asks no model."""
+        return self._nothing(self.arrays.whole)
+
+    def _nothing(self, domain: Domain) -> Fracture:
+        answer = _Answer(domain, "none", 0.0, False, {})
+        return self._finish(answer, np.zeros(len(domain.atoms), np.int64), np.zeros(len(domain.rows)))
+
+    def fragment(self, piece: Piece) -> Fragment:
+        """One of its pieces as something that can be struck and broken in turn."""
+        return Fragment(self, piece)
+
+    def prepare(self) -> None:
+        """Work out all that a first break would otherwise wait for. ``World.add`` does; once for all sizes."""
+        if "prepared" not in vars(self.arrays):
+            nothing = Impulse(self.vertices[0], np.array([0.0, 0.0, 1.0]), 0.0)
+            for piece in self._fracture([nothing], "field", gated=False).pieces:
+                _ = piece.parts
+            _ = self.arrays.weakest, self.arrays.body_parts
+            vars(self.arrays)["prepared"] = True
+
+    def _fracture(
+        self, impulses: Sequence[Impulse], predictor: str, gated: bool, fragment: Fragment | None = None
+    ) -> Fracture:
+        """gated: whether blows that are surely too weak are spared the model, which is to be told when it is judged.
+
+        A piece answers with the model of the whole. A blow leaves its momentum near the contact whatever the size of
+        the body, and what would have gone on into the atoms that are gone stays in those that are left, spread over
+        all of them: so the jumps between these are as in the whole body under the same impulse, and cracks that are
+        there already only take interfaces out of it.
+        """
         if predictor not in PREDICTORS:
             raise FracsimError(f"unknown predictor {predictor!r}; use one of {', '.join(PREDICTORS)}")
         if predictor == "modes" and self.truth.kind != "modal":
             raise FracsimError(f"{self.name}: was baked from a truth that it does not carry ({self.truth.kind})")
         begin = time.perf_counter()
-        corners, barycentric = self._locate(np.array([impulse.point for impulse in impulses]))
+        arrays = self.arrays
+        domain = arrays.whole if fragment is None else fragment.domain
+        locate = self._locate if fragment is None else fragment.locate
+        corners, barycentric = locate(np.array([impulse.point for impulse in impulses]))
         directions = np.array([impulse.direction for impulse in impulses])
-        severities = np.array([impulse.magnitude for impulse in impulses]) / (
-            self.mass * self.material.breaking_velocity
-        )
-        severity = float(severities.sum())
+        severities = self._severities(impulses)
+        total = float(severities.sum())
         limit = float(self.model.severity[0])
-        clamped = predictor != "modes" and severity > limit
+        clamped = predictor != "modes" and total > limit
         if clamped:
-            severities *= limit / severity
-        timings = {"impulse": _ms(begin)}
+            severities *= limit / total
+        answer = _Answer(domain, predictor, total / domain.share, clamped, {"impulse": _ms(begin)})
         begin = time.perf_counter()
-        pairs, count = self.arrays.pairs, self.arrays.complex.count
+        pairs, count = domain.interfaces.pairs, len(domain.atoms)
         if predictor == "modes":
-            rows = np.einsum("kc,kca->ka", barycentric, self.arrays.rows[corners])
-            broken = drives(rows[None], directions[None], severities[None], self.arrays.interfaces)[0] >= 1.0
-        elif gated and not self._may_break(corners, barycentric, severities):
-            timings["field"] = _ms(begin)
-            whole, flat = np.zeros(count, dtype=np.int64), np.full(self.vertex_count, self.cap)
-            return self._finish(whole, flat, timings, predictor, severity, clamped)
+            rows = np.einsum("kc,kca->ka", barycentric, arrays.rows[corners])
+            broken = drives(rows[None], directions[None], severities[None], arrays.interfaces)[0, domain.rows] >= 1.0
+        elif len(pairs) == 0 or (gated and not self._may_break(corners, barycentric, severities, fragment is None)):
+            answer.timings["field"] = _ms(begin)
+            return self._finish(answer, np.zeros(count, dtype=np.int64), np.zeros(len(pairs)))
         else:
-            scores = self.model.scores(corners, barycentric, directions, severities, pairs)
-            if not np.isfinite(scores).all():
-                raise FieldError(f"{self.name}: the model's scores are not finite; no fracture follows from them")
+            scores = np.asarray(self.model.scores(corners, barycentric, directions, severities, arrays.pairs))
+            if scores.shape != (len(arrays.pairs),):
+                raise FieldError(f"{self.name}: the model gives scores of shape {scores.shape}, not one an interface")
+            scores = scores[domain.rows].astype(np.float64)
+            if not (np.isfinite(scores).all() and (scores >= 0.0).all()):
+                raise FieldError(
+                    f"{self.name}: the model's scores are negative or not finite; no fracture follows from them"
+                )
             if predictor == "field":
-                field = field_from_scores(parting_scores(scores, pairs, count), self.arrays.distances, self.cap)
-                timings["field"] = _ms(begin)
-                return self._cut(field, timings, predictor, severity, clamped)
+                parting = parting_scores(scores, pairs, count).astype(np.float64)
+                udf = field_from_scores(parting, arrays.coast[1][domain.rows], self.cap)
+                answer.timings["field"] = _ms(begin)
+                return self._cut(answer, udf, parting)
             broken = scores >= self.model.level[0]
         labels = components(~broken[None], pairs, count)[0]
-        labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
-        timings["labels"] = _ms(begin)
-        begin = time.perf_counter()
-        field = field_from_scores(separated(labels, pairs).astype(np.float64), self.arrays.distances, self.cap)
-        timings["field"] = _ms(begin)
-        return self._finish(labels, field, timings, predictor, severity, clamped)
+        labels = absorb_crumbs(labels, domain.volumes, domain.interfaces, self.crumb_floor / domain.share)
+        answer.timings["labels"] = _ms(begin)
+        return self._finish(answer, labels, separated(labels, pairs).astype(np.float64))
 
     def fracture_from_field(self, udf: npt.ArrayLike) -> Fracture:
         """The pieces of a given field: udf (V,) m, distance to the nearest crack, such as a model of one's own."""
-        field = np.asarray(udf, dtype=np.float64)
-        if field.shape != (self.vertex_count,):
-            raise FieldError(f"{self.name}: a field must have shape ({self.vertex_count},), got {field.shape}")
-        return self._cut(field / self.scale, {}, "given", 0.0, False)
+        try:
+            values = np.asarray(udf, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise FieldError(f"{self.name}: a field must be numbers ({error})") from error
+        if values.shape != (self.vertex_count,):
+            raise FieldError(f"{self.name}: a field must have shape ({self.vertex_count},), got {values.shape}")
+        if not np.isfinite(values).all():
+            raise FieldError(f"{self.name}: the field holds values that are not finite; no fracture follows from it")
+        given = values / self.scale
+        answer = _Answer(self.arrays.whole, "given", 0.0, False, {})
+        return self._cut(answer, given[self.arrays.coast[0]], given)
 
     def sample_impulses(self, count: int, seed: int | np.random.Generator) -> list[Impulse]:
         """Single impulses over the area, in a cone about the inward normal, at 0.3 to 5 times what first
@@ -336,44 +464,59 @@ class BreakableAsset:
         row = np.arange(len(points))
         return self.faces[nearest[row, best]], barycentric[row, best]
 
-    def _cut(
-        self, field: FloatArray, timings: dict[str, float], predictor: str, severity: float, clamped: bool
-    ) -> Fracture:
-        if not np.isfinite(field).all():
-            raise FieldError(f"{self.name}: the field holds values that are not finite; no fracture follows from it")
+    def _cut(self, answer: _Answer, udf: FloatArray, given: FloatArray) -> Fracture:
+        """udf: (U,) on the coast. given: what the field everywhere follows from, as ``_finish`` takes it."""
         begin = time.perf_counter()
-        arrays = self.arrays
-        labels = arrays.basins.labels(field, self.model.pass_height)
-        labels = absorb_crumbs(labels, self.arrays.moments[0], self.arrays.interfaces, self.crumb_floor)
-        timings["segmentation"] = _ms(begin)
-        return self._finish(labels, field, timings, predictor, severity, clamped)
+        domain = answer.domain
+        labels = self.arrays.basins.labels(udf, self.model.pass_height, domain.inside)[domain.atoms]
+        labels = absorb_crumbs(labels, domain.volumes, domain.interfaces, self.crumb_floor / domain.share)
+        answer.timings["segmentation"] = _ms(begin)
+        return self._finish(answer, labels, given)
 
-    def _finish(
-        self,
-        labels: IntArray,
-        field: FloatArray,
-        timings: dict[str, float],
-        predictor: str,
-        severity: float,
-        clamped: bool,
-    ) -> Fracture:
+    def _finish(self, answer: _Answer, labels: IntArray, given: FloatArray) -> Fracture:
+        """labels: (A,) of the domain's atoms. given: the field (V,) itself, or the parting score of each of the
+        domain's interfaces."""
         begin = time.perf_counter()
+        domain, arrays = answer.domain, self.arrays
         order = np.argsort(labels, kind="stable")
-        groups = np.split(order, np.cumsum(np.bincount(labels))[:-1])
-        pieces = tuple(self._piece(group, labels, k) for k, group in enumerate(groups))
-        timings["pieces"] = _ms(begin)
-        vertex_labels = labels[self.arrays.vertex_atom]
-        return Fracture(vertex_labels, field * self.scale, pieces, timings, predictor, severity, clamped)
+        groups = np.split(domain.atoms[order], np.cumsum(np.bincount(labels))[:-1])
+        pieces = self._pieces(groups)
+        cracks = separated(labels, domain.interfaces.pairs)
+        area = float(domain.interfaces.projected[cracks].sum()) * self.scale**2
+        answer.timings["pieces"] = _ms(begin)
 
-    def _piece(self, atoms: IntArray, labels: IntArray, index: int) -> Piece:
-        volume, mass, center, inertia = self._mass_properties(atoms)
-        hulls = tuple(hull for atom in atoms.tolist() for hull in self._atom_hulls[atom])
+        def vertex_labels() -> IntArray:
+            of_atom = np.full(arrays.complex.count, -1)
+            of_atom[domain.atoms] = labels
+            return of_atom[arrays.vertex_atom]
 
-        def surface() -> tuple[FloatArray, IntArray, npt.NDArray[np.bool_]]:
-            vertices, faces, outer = self.arrays.complex.surface(labels == index)
-            return vertices * self.scale + self.offset, faces, outer
+        def udf() -> FloatArray:
+            if answer.predictor == "given":
+                return given * self.scale
+            return field_from_scores(given, arrays.distances[domain.rows], self.cap) * self.scale
 
-        return Piece(volume, mass, center, inertia, hulls, atoms, surface)
+        return Fracture(
+            pieces, answer.timings, answer.predictor, answer.severity, answer.clamped, area, vertex_labels, udf
+        )
+
+    def _pieces(self, groups: Sequence[IntArray]) -> tuple[Piece, ...]:
+        arrays = self.arrays
+        parts = replace(arrays.parts, scale=self.scale, offset=self.offset)
+
+        def piece(atoms: IntArray) -> Piece:
+            volume, mass, center, inertia = self._mass_properties(atoms)
+            rows = [row for atom in atoms.tolist() for row in arrays.part_rows[atom]]
+
+            def hulls() -> tuple[Hull, ...]:
+                return tuple(self._atom_hulls[row] for row in rows)
+
+            def surface() -> tuple[FloatArray, IntArray, npt.NDArray[np.bool_]]:
+                vertices, faces, outer = arrays.complex.surface(np.isin(np.arange(arrays.complex.count), atoms))
+                return vertices * self.scale + self.offset, faces, outer
+
+            return Piece(volume, mass, center, inertia, parts.some(rows), atoms, hulls, surface)
+
+        return tuple(piece(group) for group in groups)
 
     def _mass_properties(self, atoms: IntArray) -> tuple[float, float, FloatArray, FloatArray]:
         """Volume, mass, centre of mass and inertia about it of some atoms together."""
@@ -391,13 +534,8 @@ class BreakableAsset:
         return tuple(zip(blocks, np.split(faces, ends[1]), strict=True))
 
     @cached_property
-    def _atom_hulls(self) -> list[list[Hull]]:
-        result: list[list[Hull]] = [[] for _ in range(self.arrays.complex.count)]
-        arrays = self.arrays
-        hulls = self._hulls(arrays.hull_points, arrays.hull_faces, arrays.hull_sizes)
-        for atom, hull in zip(self.arrays.hull_atoms.tolist(), hulls, strict=True):
-            result[atom].append(hull)
-        return result
+    def _atom_hulls(self) -> tuple[Hull, ...]:
+        return self._hulls(self.arrays.hull_points, self.arrays.hull_faces, self.arrays.hull_sizes)
 
     # The file
 
@@ -419,6 +557,97 @@ class BreakableAsset:
             "truth": asdict(self.truth),
         }
         write_beside(Path(path), save(tensors, metadata={"fracsim": json.dumps(header, sort_keys=True)}))
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What is known of a fracture before its pieces are."""
+
+    domain: Domain
+    predictor: str
+    severity: float
+    clamped: bool
+    timings: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Fragment:
+    """A piece of a broken asset as something that breaks in turn, by the asset's model; in the asset's frame."""
+
+    asset: BreakableAsset
+    piece: Piece
+
+    @cached_property
+    def domain(self) -> Domain:
+        arrays = self.asset.arrays
+        return Domain.of(self.piece.atoms, arrays.interfaces, arrays.moments[0])
+
+    @property
+    def name(self) -> str:
+        return self.asset.name
+
+    @property
+    def material(self) -> Material:
+        return self.asset.material
+
+    @property
+    def size(self) -> float:
+        """m, the largest extent of the whole."""
+        return self.asset.size
+
+    @property
+    def mass(self) -> float:
+        return self.piece.mass
+
+    @cached_property
+    def reach(self) -> float:
+        """m, from the centre of mass to the furthest point of the convex parts."""
+        parts = self.piece.parts
+        points = np.concatenate(parts.points) * parts.scale + parts.offset
+        return float(np.linalg.norm(points - self.piece.center_of_mass, axis=1).max())
+
+    @property
+    def bearable_impulse(self) -> float:
+        """N·s: impulses that sum to less break nothing, wherever they act."""
+        return self.asset.bearable_impulse
+
+    def may_break(self, impulses: Impulse | Sequence[Impulse]) -> bool:
+        """False when these impulses together are surely too weak; costs no model query."""
+        impulses = as_impulses(impulses)
+        if len(self.piece.atoms) == 1:
+            return False
+        corners, barycentric = self.locate(np.array([impulse.point for impulse in impulses]))
+        return self.asset._may_break(corners, barycentric, self.asset._severities(impulses), whole=False)
+
+    def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
+        """What impulses do to the piece, as ``BreakableAsset.fracture``; pieces are of the asset's atoms again.
+
+        The severity is the impulse over the piece's own mass times the breaking velocity.
+        """
+        return self.asset._fracture(as_impulses(impulses), predictor, gated=True, fragment=self)
+
+    def unbroken(self) -> Fracture:
+        """What no impulse at all would do; asks no model."""
+        return self.asset._nothing(self.domain)
+
+    def fragment(self, piece: Piece) -> Fragment:
+        """One of its pieces, which is one of the asset's."""
+        return Fragment(self.asset, piece)
+
+    @cached_property
+    def _outside(self) -> tuple[IntArray, cKDTree]:
+        """The vertices of the asset's surface that the piece has (all, if it has none), to be found by place."""
+        arrays = self.asset.arrays
+        own = np.flatnonzero(np.isin(arrays.vertex_atom, self.piece.atoms))
+        own = own if len(own) else np.arange(self.asset.vertex_count)
+        return own, cKDTree(arrays.points[own])
+
+    def locate(self, points: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The vertices of the asset's surface nearest to ``points`` (K, 3) m that the piece has, as
+        ``BreakableAsset._locate`` would give them: a blow on a crack counts where the surface is next."""
+        own, tree = self._outside
+        nearest = own[tree.query((points - self.asset.offset) / self.asset.scale)[1]]
+        return np.repeat(nearest[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(points), 1))
 
 
 def write_beside(path: Path, data: bytes) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from .asset import AssetArrays, BreakableAsset, Truth
 from .atoms import Atoms, atoms_for, watch
-from .convex import clip_apart, decompose, pack
+from .convex import convex_arrays
 from .dataset import Samples, sample
 from .errors import BakeError, MissingExtraError
 from .fracture_modes import impact_field
@@ -118,14 +118,10 @@ def bake(
         samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
         tick = stage.ticker("training")
         model, figures = Field.fit(body, samples, options.model or model_for(kind), seed, Run(progress=tick))
-        tick = stage.ticker("convex")
         complex_ = AtomComplex(solid.points, solid.triangles, solid.sides)
-        one = np.eye(complex_.count, dtype=bool)
-        shells = [complex_.surface(row)[:2] for row in one]
-        whole = (surface.vertices, surface.faces)
-        *parts, around = decompose([*shells, whole], options.workers, tick)
-        parts = clip_apart(parts, interfaces.pairs, interfaces.normals, progress=stage.ticker("clipping"))
-        hulls, whole_hulls = pack([points for some in parts for points in some]), pack(around)
+        convex = convex_arrays(
+            complex_, (surface.vertices, surface.faces), interfaces.pairs, interfaces.normals, stage.ticker
+        )
         arrays = AssetArrays(
             faces=surface.faces,
             points=solid.points,
@@ -138,13 +134,7 @@ def bake(
             projected=interfaces.projected,
             distances=body.distances[:, : len(surface.vertices)].astype(np.float16),
             shores=body.shores,
-            hull_points=hulls[0],
-            hull_faces=hulls[1],
-            hull_sizes=hulls[2],
-            hull_atoms=np.repeat(np.arange(len(parts)), [len(some) for some in parts]),
-            body_points=whole_hulls[0],
-            body_faces=whole_hulls[1],
-            body_sizes=whole_hulls[2],
+            **convex,
         )
         given = _truth(kind, samples)
         name = Path(surface.name).stem
@@ -175,6 +165,17 @@ def bake(
     if isinstance(truth, ModalGenerator):
         asset.metadata["mode_energies"] = [history[-1] for history in truth.energies]
     return asset
+
+
+def remake_convex(asset: BreakableAsset) -> BreakableAsset:
+    """The same asset with the convex parts that a bake would give it now; all else is as it was."""
+    arrays = asset.arrays
+    with threadpool_limits(1):
+        whole = (arrays.points[: asset.vertex_count], arrays.faces)
+        arrays = replace(arrays, **convex_arrays(arrays.complex, whole, arrays.pairs, arrays.normals))
+    counts = {"hulls": len(arrays.hull_sizes), "body_hulls": len(arrays.body_sizes)}
+    metadata = {**asset.metadata, "counts": {**asset.metadata["counts"], **counts}}
+    return replace(asset, arrays=arrays, metadata=metadata)
 
 
 def _truth(kind: str, samples: Samples) -> Truth:

@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bake.add_argument("--modes", type=int, default=20, help="fracture modes")
     bake.add_argument("--samples", type=int, default=250000, help="impulses to learn from and be tested on")
     bake.add_argument("--steps", type=int, default=8000, help="of training")
-    bake.add_argument("--workers", type=int, default=2, help="processes for the convex parts")
+    bake.add_argument("--workers", type=int, default=2, help="processes that make samples")
     bake.add_argument("--quiet", action="store_true", help="no progress bars")
     bake.set_defaults(run=_bake)
 
@@ -119,7 +119,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     train.add_argument("--quiet", action="store_true", help="no progress bars")
     train.set_defaults(run=_train)
 
-    for command in (bake, fracture, info, make, describe, train, evaluate, tune):
+    bench = commands.add_parser("bench", help="measure the running simulation on this machine")
+    bench.add_argument("name", help="latency, idle, decomposition, timestep, stability or soak")
+    bench.add_argument("--quick", action="store_true", help="a short run, to see that it works")
+    bench.add_argument("--seed", type=int, default=0)
+    bench.add_argument("--out", type=Path, help="a folder for runtime_NAME.json, .md and .png")
+    bench.add_argument("--quiet", action="store_true", help="no progress bar")
+    bench.set_defaults(run=_bench)
+
+    for command in (bake, fracture, info, make, describe, train, evaluate, tune, bench):
         command.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     options = parser.parse_args(arguments)
     try:
@@ -221,6 +229,18 @@ def _tune(options: argparse.Namespace) -> dict[str, Any]:
     print(f"chosen: trial {chosen['number']}, {parameters}")
     print(f"  validation AMAE {chosen['amae']:.5f}, {chosen['seconds'] * 1e3:.3g} ms a query")
     return found
+
+
+def _bench(options: argparse.Namespace) -> dict[str, Any]:
+    from .bench import NAMES, run
+    from .progress import Stages
+
+    if options.name not in NAMES:
+        raise FracsimError(f"unknown benchmark {options.name!r}; use one of {', '.join(NAMES)}")
+    with Stages(not options.quiet) as stage:
+        figures = run(options.name, options.quick, options.seed, options.out, stage.ticker(options.name))
+    print(figures["table"])
+    return figures
 
 
 def _settings(texts: list[str], flag: str = "--set") -> dict[str, str]:

@@ -279,3 +279,63 @@ def test_bad_questions_are_typed_errors(shipped):
     for wrong in ([(0, 0, 0), (0, 0, 0), 1.0], [(0, 0), (0, 0, 1), 1.0], [(0, 0, 0), (0, 0, 1), np.nan]):
         with pytest.raises(fracsim.ImpulseError):
             fracsim.Impulse(*wrong)
+
+
+# --- pieces that break in turn
+
+
+def test_a_fragment_breaks_into_its_own_atoms(shipped):
+    fractures = [shipped.fracture(one) for one in shipped.sample_impulses(60, 4)]
+    fracture = max(fractures, key=lambda one: max(len(piece.atoms) for piece in one.pieces) if one.broken else 0)
+    piece = max(fracture.pieces, key=lambda one: len(one.atoms))
+    fragment = shipped.fragment(piece)
+    assert fragment.mass == piece.mass
+    assert not fragment.unbroken().broken
+    hard = [fracsim.Impulse(one.point, one.direction, 4 * one.magnitude) for one in shipped.sample_impulses(20, 8)]
+    seen = 0
+    for blow in hard:
+        again = fragment.fracture(blow)
+        labels = again.labels
+        own = np.isin(shipped.arrays.vertex_atom, piece.atoms)
+        assert (labels[~own] == -1).all()
+        assert (labels[own] >= 0).all()
+        assert sum(part.mass for part in again.pieces) == pytest.approx(piece.mass, rel=1e-9)
+        assert set(np.concatenate([part.atoms for part in again.pieces])) == set(piece.atoms)
+        assert again.crack_area >= 0.0
+        if again.broken:
+            seen += 1
+            assert fragment.may_break(blow)
+            assert again.crack_area > 0.0
+            smaller = shipped.fragment(piece).fragment(again.pieces[0])
+            assert smaller.mass == again.pieces[0].mass
+    assert seen
+
+
+def test_a_fragment_of_everything_answers_as_the_asset_does(shipped):
+    whole = shipped.fragment(shipped.unbroken().pieces[0])
+    for blow in shipped.sample_impulses(20, 6):
+        # At a vertex, where both see the same place.
+        near = shipped.vertices[np.linalg.norm(shipped.vertices - blow.point, axis=1).argmin()]
+        impulse = fracsim.Impulse(near, blow.direction, blow.magnitude)
+        np.testing.assert_array_equal(whole.fracture(impulse).labels, shipped.fracture(impulse).labels)
+
+
+def test_the_field_everywhere_is_worked_out_when_asked_for(shipped):
+    fracture = next(f for f in map(shipped.fracture, shipped.sample_impulses(60, 4)) if f.broken)
+    assert not {"udf", "labels"} & set(vars(fracture))
+    assert fracture.udf.shape == fracture.labels.shape == (shipped.vertex_count,)
+
+
+@pytest.mark.parametrize("scores", [np.nan, np.inf, -1.0, "short"])
+def test_scores_that_make_no_sense_are_a_field_error(shipped, monkeypatch, scores):
+    count = len(shipped.arrays.pairs)
+    answer = np.ones(count - 1) if scores == "short" else np.full(count, scores)
+    monkeypatch.setattr(type(shipped.model), "scores", lambda *_: answer)
+    hard = max(shipped.sample_impulses(20, 1), key=lambda one: one.magnitude)
+    with pytest.raises(fracsim.FieldError, match=shipped.name):
+        shipped.fracture(hard)
+
+
+def test_a_field_that_is_no_numbers_is_refused(shipped):
+    with pytest.raises(fracsim.FieldError, match="numbers"):
+        shipped.fracture_from_field(["a"] * shipped.vertex_count)

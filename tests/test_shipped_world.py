@@ -89,9 +89,8 @@ def test_a_drop_from_three_metres_breaks_it(mesh):
         _, _, terminated, truncated, info = env.step(np.zeros(6, np.float32))
         pieces, done = max(pieces, info["pieces"]), terminated or truncated
         events += info["events"]
-    assert pieces >= 2
-    assert len(events) == 1
-    assert len(events[0].children) == pieces
+    assert len(events[0].children) >= 2
+    assert pieces == 1 + sum(len(event.children) - 1 for event in events)  # pieces may have broken again
     env.close()
 
 

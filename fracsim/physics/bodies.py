@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from .engine import Engine, Hull, Motion, Placement, Surface, rotation_of
+from ..pieces import Parts
+from .engine import Engine, Motion, Placement, Surface, rotation_of
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Color = tuple[float, float, float, float]
+
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 GLAZE: Color = (0.93, 0.89, 0.81, 1.0)  # an unbroken object
 SHARDS: tuple[Color, ...] = (
@@ -41,7 +46,7 @@ class Solid(Protocol):
     @property
     def inertia(self) -> FloatArray: ...
     @property
-    def hulls(self) -> tuple[Hull, ...]: ...
+    def parts(self) -> Parts: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,45 +75,52 @@ class Body:
         rotation = rotation_of(placement[1]) @ self.axes.T
         arm = rotation @ self.center
         angular = np.array(motion[1])
-        return Pose(placement[0] - arm, rotation, motion[0] - np.cross(angular, arm), angular)
+        return Pose(placement[0] - arm, rotation, motion[0] - cross(angular, arm), angular)
 
     def pose_now(self, engine: Engine) -> Pose:
         """The asset's frame as the engine has it now."""
         return self.pose(engine.placement(self.id), engine.motion(self.id))
 
 
-def spawn(engine: Engine, solid: Solid, pose: Pose, surface: Surface, color: Color | None) -> Body:
-    """Put a solid into the world where `pose` has the asset's frame, moving with it; color None hides it."""
-    moments, axes = np.linalg.eigh(solid.inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    center = np.asarray(solid.center_of_mass)
-    arm = pose.rotation @ center
-    visual = engine.hidden() if color is None else engine.visual((solid.vertices - center) @ axes, solid.faces, color)
-    body = engine.create(
-        [((points - center) @ axes, faces) for points, faces in solid.hulls],
-        float(solid.mass),
-        moments,
-        pose.position + arm,
-        quaternion_of(pose.rotation @ axes),
-        (pose.linear + np.cross(pose.angular, arm), pose.angular),
-        surface,
-        visual,
-    )
-    return Body(body, engine.mark(body), float(solid.mass), center, axes, moments)
+def spawn(
+    engine: Engine,
+    solids: Sequence[Solid],
+    pose: Pose,
+    surface: Surface,
+    colors: Sequence[Color] | None,
+) -> list[Body]:
+    """Put solids into the world where `pose` has the asset's frame, moving with it; without colors, unseen."""
+    moments, axes = np.linalg.eigh(np.array([solid.inertia for solid in solids]))  # (n, 3), (n, 3, 3)
+    axes[..., 2] *= np.sign(np.linalg.det(axes))[:, None]
+    centers = np.array([solid.center_of_mass for solid in solids])
+    arms = centers @ pose.rotation.T
+    speeds = pose.linear + cross(pose.angular, arms)
+    turns = Rotation.from_matrix(axes)
+    frames = turns.inv().as_quat().tolist()
+    ways = (Rotation.from_matrix(pose.rotation) * turns).as_quat().tolist()
+    places = (pose.position + arms).tolist()
+    spin = tuple(pose.angular.tolist())
+    bodies = []
+    for k, solid in enumerate(solids):
+        visual = engine.hidden()
+        if colors is not None:
+            local = (solid.vertices - centers[k]) @ axes[k]
+            visual = engine.visual(local, solid.faces, colors[k % len(colors)])
+        parts = solid.parts
+        frame = tuple(((parts.offset - centers[k]) @ axes[k]).tolist()), frames[k]
+        motion = tuple(speeds[k].tolist()), spin
+        mass = float(solid.mass)
+        place = places[k], ways[k]
+        body = engine.create(parts, frame, mass, moments[k].tolist(), place, motion, surface, visual)
+        bodies.append(Body(body, engine.mark(body), mass, centers[k], axes[k], moments[k]))
+    return bodies
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products (..., 3), as numpy's but for the checks, which take ten times the sums of a few rows."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def quaternion_of(rotation: FloatArray) -> FloatArray:
-    """Rotation matrix (3, 3) -> unit quaternion (x, y, z, w), from its largest component."""
-    m = rotation
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    squares = np.array([2 * m[0, 0] - trace, 2 * m[1, 1] - trace, 2 * m[2, 2] - trace, trace])
-    i = int(squares.argmax())
-    q = np.empty(4)
-    q[i] = 1 + squares[i]
-    if i == 3:
-        q[:3] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    else:
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[j], q[k], q[3] = m[j, i] + m[i, j], m[k, i] + m[i, k], m[k, j] - m[j, k]
-    normal: FloatArray = q / np.linalg.norm(q)
-    return normal
+    """Rotation matrix (3, 3) -> unit quaternion (x, y, z, w)."""
+    return np.asarray(Rotation.from_matrix(rotation).as_quat())

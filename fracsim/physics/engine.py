@@ -9,28 +9,32 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import count
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pybullet as p
 from scipy.ndimage import uniform_filter
+from scipy.spatial.transform import Rotation
 
 from ..errors import PhysicsError, RenderError
+from ..pieces import Parts
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 ByteArray = npt.NDArray[np.uint8]
-Hull = tuple[FloatArray, IntArray]
 Triple = tuple[float, float, float]
 Placement = tuple[Triple, tuple[float, float, float, float]]
 Motion = tuple[Triple, Triple]  # linear velocity of the centre of mass, angular velocity; world frame
 
+Gone = p.error  # what a call about a body that is not there raises
 GRAVITY = 9.81  # m/s², of a Scene
 _MEMORY = "/dev/shm"  # where compound shapes pass through, when there is such a place
 _TOKENS = count()
+_NOWHERE, _CORNERS = ((0.0, 0.0, 0.0),) * 3, (0, 1, 2)
 
 
 @dataclass(frozen=True)
@@ -57,17 +61,31 @@ class Rigid:
     center: FloatArray  # (3,) centre of mass, world
     rotation: FloatArray  # (3, 3) principal axes as columns, world
     restitution: float
+    friction: float
     jointed: bool
 
 
-@dataclass(frozen=True)
-class Contact:
-    """A contact that carries force, as reported for the pose before the step."""
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """The n contacts of one body that carried force in the last step, as they were in the pose before it."""
 
-    other: int
-    link: int  # of the other body; -1 is its base
-    point: Triple  # on the body that was asked about, world
-    normal: Triple  # unit, the way that body is pushed
+    others: tuple[tuple[int, int], ...]  # (body, link), -1 being its base
+    points: FloatArray  # (n, 3) on the body, world
+    normals: FloatArray  # (n, 3) unit, the way the body is pushed
+    depths: FloatArray  # (n,) m, how far the two were in each other
+    forces: FloatArray  # (n,) N, normal
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a body is and how it moves: what it takes to put it back there."""
+
+    body: int
+    placement: Placement
+    motion: Motion
+    joints: tuple[int, ...] = ()
+    angles: tuple[tuple[float, ...], ...] = ()
+    rates: tuple[tuple[float, ...], ...] = ()
 
 
 class Engine:
@@ -77,6 +95,8 @@ class Engine:
         self.client = client
         self.require_connection()
         self._hidden = -1
+        self._shapes: dict[tuple[Any, ...], tuple[Parts, int]] = {}
+        self._joints: dict[int, tuple[int, ...]] = {}
 
     def require_connection(self) -> None:
         """Raise PhysicsError unless the client is connected."""
@@ -90,14 +110,29 @@ class Engine:
     def has_window(self) -> bool:
         return bool(p.getConnectionInfo(self.client)["connectionMethod"] == p.GUI)
 
-    def clock(self) -> tuple[float, FloatArray]:
-        """The time step in s and gravity (3,) in m/s²."""
-        info = p.getPhysicsEngineParameters(physicsClientId=self.client)
-        gravity = [info[f"gravityAcceleration{axis}"] for axis in "XYZ"]
-        return float(info["fixedTimeStep"]), np.array(gravity)
+    def clock(self) -> tuple[float, Triple]:
+        """The time step in s and gravity in m/s²."""
+        try:
+            info = p.getPhysicsEngineParameters(physicsClientId=self.client)
+        except p.error:
+            self.require_connection()
+            raise
+        gravity = (info["gravityAccelerationX"], info["gravityAccelerationY"], info["gravityAccelerationZ"])
+        return info["fixedTimeStep"], gravity
 
     def step(self) -> None:
         p.stepSimulation(physicsClientId=self.client)
+
+    def census(self) -> tuple[int, int]:
+        """The number of bodies, and the id of the last: a change of either tells that some came or went."""
+        count = p.getNumBodies(physicsClientId=self.client)
+        return count, p.getBodyUniqueId(count - 1, physicsClientId=self.client) if count else -1
+
+    def bodies(self) -> list[int]:
+        client = self.client
+        return [p.getBodyUniqueId(k, physicsClientId=client) for k in range(p.getNumBodies(physicsClientId=client))]
+
+    # How things move
 
     def placement(self, body: int) -> Placement:
         """Centre of mass, and the quaternion of the principal axes; world."""
@@ -108,25 +143,154 @@ class Engine:
         motion: Motion = p.getBaseVelocity(body, physicsClientId=self.client)
         return motion
 
-    def motions(self) -> dict[tuple[int, int], Motion]:
-        """(body, link) -> motion of everything in the world; link -1 is a body's base."""
-        client, result = self.client, {}
-        for index in range(p.getNumBodies(physicsClientId=client)):
-            body = p.getBodyUniqueId(index, physicsClientId=client)
-            try:
-                result[body, -1] = p.getBaseVelocity(body, physicsClientId=client)
-                links = p.getNumJoints(body, physicsClientId=client)
-                if links:
-                    states = p.getLinkStates(body, range(links), computeLinkVelocity=1, physicsClientId=client)
-                    result.update({(body, link): (state[6], state[7]) for link, state in enumerate(states)})
-            except p.error:  # a deformable body has no rigid motion
-                continue
+    def link_motion(self, body: int, link: int) -> Motion:
+        """As ``motion``, of a link."""
+        if link < 0:
+            return self.motion(body)
+        state = p.getLinkState(body, link, computeLinkVelocity=1, physicsClientId=self.client)
+        return state[6], state[7]
+
+    def joint_rates(self, body: int) -> tuple[tuple[float, ...], ...]:
+        """The velocity of each joint that moves."""
+        joints = self._movable(body)
+        if not joints:
+            return ()
+        states = p.getJointStatesMultiDof(body, joints, physicsClientId=self.client)
+        return tuple(state[1] for state in states)
+
+    def _movable(self, body: int) -> tuple[int, ...]:
+        joints = self._joints.get(body)
+        if joints is None:
+            client = self.client
+            joints = tuple(
+                joint
+                for joint in range(p.getNumJoints(body, physicsClientId=client))
+                if p.getJointInfo(body, joint, physicsClientId=client)[2] != p.JOINT_FIXED
+            )
+            self._joints[body] = joints
+        return joints
+
+    def forget(self) -> None:
+        """Read the joints of bodies anew, since ids of removed ones are handed out again."""
+        self._joints.clear()
+
+    def state_before(self, body: int, motion: Motion, rates: Sequence[tuple[float, ...]] | None, dt: float) -> State:
+        """The state of a body before the last step, given how it moved then; rates: of its joints, None keeping what
+        they are."""
+        place = self.placement_before(body, dt)
+        joints = self._movable(body)
+        if not joints:
+            return State(body, place, motion)
+        states = p.getJointStatesMultiDof(body, joints, physicsClientId=self.client)
+        now = tuple(state[1] for state in states)
+        # A ball joint's place is a quaternion, which a step backwards would have to compose; a step's worth is kept.
+        angles = tuple((state[0][0] - dt * state[1][0],) if len(state[0]) == 1 else tuple(state[0]) for state in states)
+        return State(body, place, motion, joints, angles, now if rates is None else tuple(rates))
+
+    def restore(self, state: State) -> None:
+        """Put a body back."""
+        client = self.client
+        p.resetBasePositionAndOrientation(state.body, *state.placement, physicsClientId=client)
+        p.resetBaseVelocity(state.body, *state.motion, physicsClientId=client)
+        for joint, angle, rate in zip(state.joints, state.angles, state.rates, strict=True):
+            # One joint at a time: the call for several at once has crashed the engine.
+            if len(angle) == 1:
+                p.resetJointState(state.body, joint, angle[0], rate[0], physicsClientId=client)
+            elif len(angle) == 4:
+                p.resetJointStateMultiDof(state.body, joint, angle, rate, physicsClientId=client)
+
+    def move(self, body: int, linear: FloatArray, angular: FloatArray) -> None:
+        """Give a body another velocity."""
+        p.resetBaseVelocity(body, linear.tolist(), angular.tolist(), physicsClientId=self.client)
+
+    def jointed(self, body: int) -> bool:
+        """Whether it is articulated."""
+        return bool(p.getNumJoints(body, physicsClientId=self.client) > 0)
+
+    def is_static(self, body: int) -> bool:
+        """Whether it has no mass and no joints; a body that does not exist counts as static."""
+        client = self.client
+        try:
+            if p.getDynamicsInfo(body, -1, physicsClientId=client)[0] != 0.0:
+                return False
+            return not p.getNumJoints(body, physicsClientId=client)
+        except p.error:
+            return True
+
+    # What touches what
+
+    def near(self, low: Triple, high: Triple) -> tuple[tuple[int, int], ...]:
+        """(body, link) of everything whose bounding box met this one when the last step looked for contacts."""
+        return p.getOverlappingObjects(low, high, physicsClientId=self.client) or ()
+
+    def plane(self, body: int) -> tuple[FloatArray, float] | None:
+        """Normal (3,) and height over the origin of a body that is an infinite plane."""
+        shapes = p.getCollisionShapeData(body, -1, physicsClientId=self.client)
+        if not shapes or shapes[0][2] != p.GEOM_PLANE:
+            return None
+        center, quaternion = self.placement(body)
+        normal = rotation_of(quaternion) @ np.array(shapes[0][3])
+        return normal, float(normal @ center)
+
+    def contacts(self, body: int) -> Contacts | None:
+        """The contacts of the last step that pushed on the body, if any."""
+        points = [q for q in p.getContactPoints(bodyA=body, physicsClientId=self.client) or () if q[9] > 0.0]
+        if not points:
+            return None
+        return Contacts(
+            tuple((q[2], q[4]) for q in points),
+            np.array([q[5] for q in points]),
+            np.array([q[7] for q in points]),
+            np.array([-q[8] for q in points]),
+            np.array([q[9] for q in points]),
+        )
+
+    def pairs(self) -> list[tuple[int, int, FloatArray, FloatArray, FloatArray]]:
+        """(a, b, force on a (3,) N, place on a (3,), place on b) of every contact that carried force, with friction.
+
+        Asked for without naming a body, since only then normal and friction are of the same one.
+        """
+        result = []
+        for q in p.getContactPoints(physicsClientId=self.client) or ():
+            if q[9] > 0.0:
+                force = q[9] * np.array(q[7]) + q[10] * np.array(q[11]) + q[12] * np.array(q[13])
+                result.append((q[1], q[2], force, np.array(q[5]), np.array(q[6])))
         return result
 
-    def contacts(self, body: int) -> list[Contact]:
-        """The contacts of the last step that pushed on the body."""
-        points = p.getContactPoints(bodyA=body, physicsClientId=self.client)
-        return [Contact(q[2], q[4], q[5], q[7]) for q in points or () if q[9] > 0.0]
+    def constraints(self) -> list[tuple[int, tuple[Any, ...]]]:
+        """(id, description) of the constraints between bodies."""
+        client = self.client
+        count = p.getNumConstraints(physicsClientId=client)
+        ids = [p.getConstraintUniqueId(k, physicsClientId=client) for k in range(count)]
+        return [(one, p.getConstraintInfo(one, physicsClientId=client)) for one in ids]
+
+    def tied(self, bodies: Collection[int]) -> list[int]:
+        """The other bodies that constraints join to some of these."""
+        if not p.getNumConstraints(physicsClientId=self.client):
+            return []
+        pairs = [(info[0], info[2]) for _, info in self.constraints() if info[2] >= 0]
+        return sorted(
+            {two for one, two in [*pairs, *((b, a) for a, b in pairs)] if one in bodies and two not in bodies}
+        )
+
+    def untie(self, constraint: int) -> None:
+        p.removeConstraint(constraint, physicsClientId=self.client)
+
+    def tie(self, info: Sequence[Any]) -> int:
+        """A constraint between two bodies, described as ``constraints`` does -> its id."""
+        constraint: int = p.createConstraint(*info[:10], physicsClientId=self.client)
+        p.changeConstraint(constraint, maxForce=info[10], physicsClientId=self.client)
+        return constraint
+
+    def placement_before(self, body: int, dt: float) -> Placement:
+        """Where a body was before the last step: the engine moves everything with the velocity that it ends a step
+        with, so that follows from place and velocity now, to rounding."""
+        center, quaternion = self.placement(body)
+        linear, angular = self.motion(body)
+        turn = Rotation.from_rotvec(-dt * np.array(angular)) * Rotation.from_quat(quaternion)
+        x, y, z = (a - dt * b for a, b in zip(center, linear, strict=True))
+        place: Placement = (x, y, z), tuple(turn.as_quat().tolist())
+        return place
 
     def rigid(self, body: int, link: int) -> Rigid:
         """A body or link as it is now."""
@@ -136,41 +300,36 @@ class Engine:
         else:
             center, axes = p.getLinkState(body, link, physicsClientId=self.client)[:2]
         jointed = p.getNumJoints(body, physicsClientId=self.client) > 0
-        return Rigid(info[0], np.array(info[2]), np.array(center), rotation_of(axes), info[5], jointed)
+        return Rigid(info[0], np.array(info[2]), np.array(center), rotation_of(axes), info[5], info[1], jointed)
 
     def surface(self, body: int, linear_damping: float, angular_damping: float) -> Surface:
         """The body's contact properties as they are now; damping cannot be read back from the engine."""
         info = p.getDynamicsInfo(body, -1, physicsClientId=self.client)
         return Surface(info[1], info[5], info[6], info[7], info[8], info[9], info[11], linear_damping, angular_damping)
 
+    # Making and removing bodies
+
     def create(
         self,
-        hulls: Sequence[Hull],
+        parts: Parts,
+        frame: Placement,
         mass: float,
-        moments: FloatArray,
-        position: FloatArray,
-        orientation: FloatArray,
-        motion: tuple[FloatArray, FloatArray],
+        moments: Sequence[float],
+        place: Placement,
+        motion: Motion,
         surface: Surface,
         visual: int,
     ) -> int:
-        """A body of convex parts given along its principal axes about its centre of mass -> its id."""
+        """A body of convex parts -> its id.
+
+        frame: of the parts, seen from the body's, which is of its principal axes about its centre of mass.
+        """
         client = self.client
-        path = ""
         try:
-            if len(hulls) == 1:
-                shape = p.createCollisionShape(p.GEOM_MESH, vertices=hulls[0][0].tolist(), physicsClientId=client)
-            else:
-                path = _write_parts(hulls)
-                shape = p.createCollisionShape(p.GEOM_MESH, fileName=path, physicsClientId=client)
-            body: int = p.createMultiBody(
-                mass, shape, visual, position.tolist(), orientation.tolist(), physicsClientId=client
-            )
+            shape = self._shape(parts, frame)
+            body: int = p.createMultiBody(mass, shape, visual, *place, physicsClientId=client)
         except p.error as error:
-            raise PhysicsError(f"PyBullet rejected a body of {len(hulls)} convex parts: {error}") from error
-        finally:
-            if path:
-                os.unlink(path)
+            raise PhysicsError(f"PyBullet rejected a body of {len(parts)} convex parts: {error}") from error
         options = {}
         if surface.contact_stiffness >= 0.0:
             options = {
@@ -192,18 +351,39 @@ class Engine:
             physicsClientId=client,
             **options,
         )
-        p.changeDynamics(body, -1, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
-        p.resetBaseVelocity(body, motion[0].tolist(), motion[1].tolist(), physicsClientId=client)
+        p.changeDynamics(body, -1, localInertiaDiagonal=moments, physicsClientId=client)
+        p.resetBaseVelocity(body, *motion, physicsClientId=client)
         return body
+
+    def _shape(self, parts: Parts, frame: Placement) -> int:
+        """A collision shape. The engine frees none before resetSimulation, so what comes again is used again."""
+        key = parts.scale, frame[0], tuple(map(id, parts.points))
+        if key in self._shapes:
+            return self._shapes[key][1]
+        # By a file even where it is one hull: the call that takes points leaks them.
+        path = _pass_file(b"".join(parts.blocks))
+        try:
+            shape: int = p.createCollisionShape(
+                p.GEOM_MESH,
+                fileName=path,
+                meshScale=[parts.scale] * 3,
+                collisionFramePosition=frame[0],
+                collisionFrameOrientation=frame[1],
+                physicsClientId=self.client,
+            )
+        finally:
+            os.unlink(path)
+        self._shapes[key] = parts, shape  # with the parts, lest others get their identities
+        return shape
 
     def hidden(self) -> int:
         """The visual shape that shows nothing: without one the engine would draw the collision shape."""
         if self._hidden < 0:
             self._hidden = p.createVisualShape(
                 p.GEOM_MESH,
-                vertices=[[0.0, 0.0, 0.0]] * 3,
-                indices=[0, 1, 2],
-                rgbaColor=[0, 0, 0, 0],
+                vertices=_NOWHERE,  # the engine keeps a reference to each of these for ever
+                indices=_CORNERS,
+                rgbaColor=(0, 0, 0, 0),
                 physicsClientId=self.client,
             )
         return self._hidden
@@ -243,22 +423,15 @@ def rotation_of(quaternion: Sequence[float]) -> FloatArray:
     return np.array(p.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
 
 
-def _write_parts(hulls: Sequence[Hull]) -> str:
-    """An OBJ file of one group a hull -> its path. The name is never used twice: PyBullet caches by name.
-
-    Only the points matter to a convex part, so each is written with just the faces that name every point.
-    """
-    text, first = [], 1
-    for points, _ in hulls:
-        n = len(points)
-        corners = np.arange(-(-n // 3) * 3) % n + first
-        text.append("o part\n" + "v %.7g %.7g %.7g\n" * n % tuple(points.ravel().tolist()))
-        text.append("f %d %d %d\n" * (len(corners) // 3) % tuple(corners.tolist()))
-        first += n
-    memory = _MEMORY if os.access(_MEMORY, os.W_OK) else None
-    handle, path = tempfile.mkstemp(prefix="fracsim-", suffix=".obj", dir=memory)
-    with os.fdopen(handle, "w") as file:
-        file.write("".join(text))
+def _pass_file(data: bytes) -> str:
+    """A file of shapes for the engine to read -> its path. The name is never used twice: PyBullet caches by name."""
+    folder = _MEMORY if os.access(_MEMORY, os.W_OK) else tempfile.gettempdir()
+    path = f"{folder}/fracsim-{os.getpid()}-{next(_TOKENS)}.obj"
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        os.write(handle, data)
+    finally:
+        os.close(handle)
     return path
 
 

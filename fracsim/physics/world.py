@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import PhysicsError
+from ..errors import FracsimError, PhysicsError
 from ..impulse import Impulse, as_impulses
 from .bodies import GLAZE, SHARDS, Body, Pose, quaternion_of, spawn
-from .contacts import ContactImpulse, anything_moves, gate, predict
-from .engine import Engine, Surface, rotation_of
+from .contacts import CHAIN, LOAD, ContactImpulse, gate, loads, predict
+from .engine import Engine, Gone, Motion, State, Surface, rotation_of
+from .refine import WAYS, Refinement, decomposed, require, task, with_parts
+from .spin import Spin
+from .swap import COOLING, Cooling, CrackEnergy, Touch, cool, hand_over, island, undone
+from .watch import Watch, Watched
 
 if TYPE_CHECKING:
     from ..asset import BreakableAsset, Fracture
+    from ..pieces import Piece
 
 FloatArray = npt.NDArray[np.float64]
 Vector = Sequence[float] | FloatArray
 ContactCallback = Callable[[ContactImpulse], object]
 
-_MARGIN = 1e-3  # of the size; the gap between the convex parts of two pieces is 3e-3
+_MARGIN = 5e-4  # of the size; the gap between the convex parts of two pieces is 1.5e-3
+_SAME_PLACE = 0.05  # of the size: a hit so near to one just counted, from the same body, is the rest of that
+_CLOCK = 8  # steps in which a change of the time step or of gravity is noticed at the latest
+_AFTER = 0.02  # s for which nothing that was in a break may break its pieces: that blow is counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +42,9 @@ class FractureEvent:
     parent: its id, gone from the engine unless `children` is empty.
     children: the ids of the pieces, in the order of fracture.pieces; () when it did not break.
     impulses: what it was hit with, in the asset's frame, strongest first.
-    fracture: the model's answer. time: s, simulated by this world.
+    fracture: the model's answer, whole when it had none that made sense. time: s, simulated by this world.
     timings: ms of each stage: impulse (contacts to impulses), fracture (model to pieces), bodies (the swap).
+    energy: what its cracks take and have taken so far. generation: 0 for a body that was added, 1 for its pieces.
     """
 
     parent: int
@@ -43,6 +53,8 @@ class FractureEvent:
     fracture: Fracture
     time: float
     timings: dict[str, float]
+    energy: CrackEnergy = field(default_factory=lambda: CrackEnergy(0.0))
+    generation: int = 0
 
     @property
     def impulse(self) -> Impulse:
@@ -50,11 +62,15 @@ class FractureEvent:
         return self.impulses[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Breakable:
-    asset: BreakableAsset
-    body: Body
-    damping: tuple[float, float]
+@dataclass(eq=False)
+class _Break:
+    """A body that is to be broken."""
+
+    record: Watched
+    impulses: tuple[Impulse, ...]
+    fracture: Fracture
+    others: frozenset[int]
+    timings: dict[str, float]
 
 
 class World:
@@ -65,6 +81,15 @@ class World:
 
     client: a physics client id, as pybullet.connect returns it.
     visuals: give bodies visual shapes. None: only when the client has a window.
+    generations: how often what breaks may break again; 1: pieces stay as they are.
+    smallest: of the volume of what was added: a smaller piece breaks no more.
+    budget: how many pieces there may be; of more, the smallest and stillest are removed. None: any number.
+    fatigue: exponent n of Miner's rule: a blow that is the share r of what breaks a body uses up r**n of its strength.
+    None: any number of blows that break nothing leave no trace.
+    decomposition: where the convex parts of pieces come from. "baked": the asset, in a fraction of a frame. "coacd":
+    CoACD on each piece as it breaks, in seconds. "background": the same in another process, the pieces beginning as
+    baked and taking over the finer parts, ids kept, ``refine_after`` s of simulated time after the break; the step
+    waits for them if it must, so that a run is the same each time. The latter two need the extra ``bake``.
 
     Example
     -------
@@ -73,25 +98,61 @@ class World:
     >>> while not (events := world.step()): pass
     """
 
-    def __init__(self, client: int, visuals: bool | None = None) -> None:
+    def __init__(
+        self,
+        client: int,
+        visuals: bool | None = None,
+        *,
+        generations: int = 3,
+        smallest: float = 0.01,
+        budget: int | None = None,
+        fatigue: float | None = None,
+        decomposition: str = "baked",
+        refine_after: float = 0.5,
+    ) -> None:
         self._engine = Engine(client)
         self.client = client
         self.visuals = self._engine.has_window if visuals is None else visuals
-        self.time = 0.0  # s, simulated by step()
-        self._breakables: dict[int, _Breakable] = {}
+        self.generations = int(_at_least(generations, 1, "generations"))
+        self.smallest = _at_least(smallest, 0.0, "smallest")
+        self.budget = None if budget is None else int(_at_least(budget, 0, "budget"))
+        self.fatigue = None if fatigue is None else _at_least(fatigue, 1.0, "fatigue")
+        if decomposition not in WAYS:
+            raise PhysicsError(f"unknown decomposition {decomposition!r}; use one of {', '.join(WAYS)}")
+        if decomposition != "baked":
+            require()
+        self.decomposition = decomposition
+        self.refine_after = _at_least(refine_after, 0.0, "refine_after")
+        self._refining: list[Refinement] = []
+        self._watch = Watch(self._engine)
         self._pieces: dict[int, Body] = {}
+        self._damping: dict[int, tuple[float, float]] = {}  # of the pieces; the engine does not tell
+        self._spin = Spin(self._engine)
         self._callbacks: list[ContactCallback] = []
+        self._cooling: list[Cooling] = []
+        self._told: frozenset[tuple[int, int]] = frozenset()  # hits that are relived in the step to come
+        self._warned: set[str] = set()
+        self._dt, self._gravity = self._engine.clock()
+        self._least = gate(self._dt, self._gravity)
+        self._time, self._steps = 0.0, 0  # s, and the steps since
+        self._touches: list[Touch] | None = None  # of the last step, once somebody asked
+        self._motions: dict[tuple[int, int], Motion] = {}  # before it
+
+    @property
+    def time(self) -> float:
+        """s, simulated by step()."""
+        return self._time + self._steps * self._dt
 
     @property
     def bodies(self) -> tuple[int, ...]:
         """The ids of the unbroken breakable bodies."""
-        self._forget_removed(self._breakables)
-        return tuple(self._breakables)
+        self._forget_removed()
+        return tuple(body for body, record in self._watch.records.items() if record.generation == 0)
 
     @property
     def pieces(self) -> tuple[int, ...]:
         """The ids of the pieces of everything that broke."""
-        self._forget_removed(self._pieces)
+        self._forget_removed()
         return tuple(self._pieces)
 
     def add(
@@ -114,8 +175,8 @@ class World:
         the engine does not tell; friction and restitution they take from the body as it is when it breaks.
         """
         self._engine.require_connection()
-        if not (np.isfinite(scale) and scale > 0.0):
-            raise PhysicsError(f"scale must be a positive number, got {scale}")
+        if not _is_number(scale) or scale <= 0.0:
+            raise PhysicsError(f"scale must be a positive number, got {scale!r}")
         if scale != 1.0:
             asset = asset.scaled(scale)
         quaternion = _vector(orientation, "orientation", 4)
@@ -126,15 +187,20 @@ class World:
         linear = _vector(linear_velocity, "linear_velocity", 3)
         linear = linear - np.cross(angular, rotation @ asset.center_of_mass)
         pose = Pose(_vector(position, "position", 3), rotation, linear, angular)
+        damping = (
+            _at_least(linear_damping, 0.0, "linear_damping"),
+            _at_least(angular_damping, 0.0, "angular_damping"),
+        )
         surface = Surface(
             friction=getattr(asset.material, "friction", 0.5),
             restitution=getattr(asset.material, "restitution", 0.1),
             margin=_MARGIN * asset.size,
-            linear_damping=linear_damping,
-            angular_damping=angular_damping,
+            linear_damping=damping[0],
+            angular_damping=damping[1],
         )
-        body = spawn(self._engine, asset, pose, surface, GLAZE if self.visuals else None)
-        self._breakables[body.id] = _Breakable(asset, body, (linear_damping, angular_damping))
+        asset.prepare()
+        [body] = spawn(self._engine, [asset], pose, surface, [GLAZE] if self.visuals else None)
+        self._watch.add(Watched(body, asset, damping, asset.reach, asset.bearable_impulse / LOAD))
         return body.id
 
     def remove(self, body: int) -> None:
@@ -142,17 +208,28 @@ class World:
         self._engine.require_connection()
         self._find(body)
         self._engine.remove(body)
-        self._breakables.pop(body, None)
-        self._pieces.pop(body, None)
+        self._forget(body)
 
     def asset(self, body: int) -> BreakableAsset:
         """The asset of an unbroken body, at the body's scale."""
-        return self._breakable(body).asset
+        self._find(body)
+        record = self._watch.records.get(body)
+        if record is None or record.generation:
+            raise PhysicsError(f"body {body} is a piece; only unbroken bodies, world.bodies, have an asset")
+        return record.target
 
     def pose(self, body: int) -> tuple[FloatArray, FloatArray]:
         """Position (3,) and orientation (x, y, z, w) of the asset's frame, of a body or of a piece."""
         pose = self._find(body).pose_now(self._engine)
         return pose.position, quaternion_of(pose.rotation)
+
+    def wake(self, body: int) -> None:
+        """Look at a body in the next step whatever it does. A world leaves bodies alone that lie still or fly where
+        nothing is, and knows the motion of others from its own last step: call this after giving one that touches
+        something a velocity, or one that lies still a push, that should tell in that very step."""
+        self._find(body)
+        if body in self._watch.records:
+            self._watch.wake(self._watch.records[body], look=True)
 
     def on_contact(self, callback: ContactCallback) -> Callable[[], None]:
         """Call back with each hit on a breakable body, before it breaks -> a function that ends it.
@@ -171,108 +248,430 @@ class World:
     def step(self) -> list[FractureEvent]:
         """Advance the simulation by one time step and break what was hit hard enough -> what broke.
 
-        All hits on a body in one step act together. If what it hit is static, its pieces take over the
-        motion from before the impact and meet the obstacle themselves; if it is a moving body, they take
-        over the motion after the step, in which the engine has already exchanged the momentum.
+        Hits on a body within 10 ms act together, as those on the corners of a flat landing. When it breaks, all
+        that contacts and constraints join to it goes back to before the step, and the next one is lived by the pieces
+        in its place. A force that lasts counts as the impulse of 1 ms of it, without what the body's own weight takes.
+        """
+        engine, watch = self._engine, self._watch
+        try:
+            engine.step()
+        except Gone:
+            engine.require_connection()
+            raise
+        self._steps += 1
+        if self._steps == _CLOCK:
+            self._read_clock()
+        events = self._look() if watch.records else []
+        if self._pieces:  # last, as what was before the step follows from how it left things
+            for body, motion in self._spin.hold(self._dt):
+                watch.changed(body, motion)
+            if self._cooling:
+                self._cool()
+            if self._refining:
+                self._refine()
+        return events
+
+    def _look(self) -> list[FractureEvent]:
+        watch = self._watch
+        try:
+            suspects = watch.look(self._dt, self._gravity, self._least)
+        except Gone:
+            self._forget_removed()
+            return []
+        if not suspects and watch.loaded:
+            suspects = watch.pressed()
+        told = self._told
+        if told:
+            self._told = frozenset()
+        if not suspects:
+            return []
+        self._read_clock()
+        self._touches = None
+        self._motions.clear()
+        return self._judge(suspects, told)
+
+    def _read_clock(self) -> None:
+        """The time step and gravity, which somebody may have changed. Asking every time would cost a tenth of what
+        the watching does."""
+        self._time, self._steps = self.time, 0
+        self._dt, self._gravity = self._engine.clock()
+        self._least = gate(self._dt, self._gravity)
+
+    def fracture(self, body: int, impulse: Impulse | Sequence[Impulse]) -> FractureEvent:
+        """Break a body or a piece on command, with impulses in its asset's frame -> the event; children () if it held.
+
+        The impulses decide the cracks and add no momentum: the pieces go on with the motion the body has.
         """
         engine = self._engine
         engine.require_connection()
-        self._forget_removed(self._breakables)
-        dt, gravity = engine.clock()
-        self.time += dt
-        if not self._breakables:
-            engine.step()
-            return []
-        motions = engine.motions()
-        if not anything_moves(motions.values(), gate(dt, gravity)):
-            engine.step()
-            return []
-        before = {body: engine.placement(body) for body in self._breakables}
-        engine.step()
+        impulses = tuple(sorted(as_impulses(impulse), key=lambda one: -one.magnitude))
+        self._find(body)
+        record = self._watch.records.get(body)
+        if record is None:
+            raise PhysicsError(f"body {body} is a piece that breaks no more: too small, or broken too often")
+        start = perf_counter()
+        fracture = self._ask(record, impulses)
+        timings = {"impulse": 0.0, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
+        if fracture is None:
+            fracture = record.target.unbroken()
+        if len(fracture.pieces) < 2:
+            return FractureEvent(body, (), impulses, fracture, self.time, timings, generation=record.generation)
+        state = State(body, engine.placement(body), engine.motion(body))
+        event = self._replace(_Break(record, impulses, fracture, frozenset(), timings), state)
+        self._save()
+        return event
 
+    # From contacts to what breaks
+
+    def _judge(self, suspects: list[Watched], told: frozenset[tuple[int, int]]) -> list[FractureEvent]:
         struck = []
-        for body, record in self._breakables.items():
+        queue, done = list(suspects), set()
+        pressed = [record for record in suspects if record.loaded]
+        for record in pressed:
+            record.loaded = False
+        for record in queue:  # grows while it runs
+            body = record.body.id
+            if body in done:
+                continue
+            done.add(body)
+            if not self._engine.is_marked(body, record.body.token):
+                self._forget(body)
+                continue
             start = perf_counter()
-            hits = predict(engine, record.body, before[body], motions, dt, gravity)
+            hits = self._hits_on(record, record in pressed)
+            queue += [self._watch.records[hit.other] for hit in hits if hit.other in self._watch.records]
+            if self.time < record.immune_until:
+                hits = [hit for hit in hits if hit.other not in record.immune]
             if hits:
                 struck.append((record, hits, 1e3 * (perf_counter() - start)))
         for callback in tuple(self._callbacks):
             for _, hits, _ in struck:
                 for hit in hits:
-                    callback(hit)
+                    if (hit.body, hit.other) not in told:
+                        callback(hit)
         if self._callbacks:
-            self._forget_removed(self._breakables)
-
-        events = []
+            self._forget_removed()
+        breaks = []
         for record, hits, elapsed in struck:
-            body = record.body.id
-            impulses = tuple(hit.impulse for hit in hits)
-            if self._breakables.get(body) is not record or not record.asset.may_break(impulses):
-                continue
-            shared = any(hit.moving and hit.impulse.magnitude > 0.1 * impulses[0].magnitude for hit in hits)
-            pose = None if shared else record.body.pose(before[body], motions[body, -1])
-            event = self._break(record, impulses, pose, {"impulse": elapsed})
-            if event.children:
-                events.append(event)
+            if self._watch.records.get(record.body.id) is record:
+                found = self._try(record, hits, elapsed)
+                if found is not None:
+                    breaks.append(found)
+        if not breaks:
+            return []
+        events = self._exchange(breaks)
+        self._save()
         return events
 
-    def fracture(self, body: int, impulse: Impulse | Sequence[Impulse]) -> FractureEvent:
-        """Break a body on command, with impulses in its asset's frame -> the event; children () if it held.
+    def _hits_on(self, record: Watched, loaded: bool) -> list[ContactImpulse]:
+        engine, body = self._engine, record.body
+        contacts = record.lightest if loaded else self._watch.touching(body.id)
+        if contacts is None:
+            return []
+        placement = engine.placement_before(body.id, self._dt)
+        if loaded:
+            return loads(engine, body, contacts, placement, self._gravity)
+        return predict(engine, body, contacts, placement, self._motion_before, self._dt, self._gravity)
 
-        The impulses decide the cracks and add no momentum: the pieces go on with the motion the body has.
-        """
-        self._engine.require_connection()
-        impulses = sorted(as_impulses(impulse), key=lambda one: -one.magnitude)
-        return self._break(self._breakable(body), tuple(impulses), None, {"impulse": 0.0})
-
-    def _break(
-        self, record: _Breakable, impulses: tuple[Impulse, ...], pose: Pose | None, timings: dict[str, float]
-    ) -> FractureEvent:
-        """Swap a body for its pieces at `pose`, by default where it is now, if the impulses break it."""
-        engine, parent = self._engine, record.body
+    def _try(self, record: Watched, hits: list[ContactImpulse], elapsed: float) -> _Break | None:
+        """Whether the hits, one after the other and with those just before, break the body."""
+        target = record.target
+        record.hits = earlier = [(when, hit) for when, hit in record.hits if when > self.time - CHAIN]
+        together = 0.0
         start = perf_counter()
-        fracture = record.asset.fracture(impulses)
-        answered = perf_counter()
-        children: tuple[int, ...] = ()
-        if len(fracture.pieces) > 1:
-            pose = pose or parent.pose_now(engine)
-            surface = engine.surface(parent.id, *record.damping)
-            pieces = [
-                spawn(engine, piece, pose, surface, SHARDS[i % len(SHARDS)] if self.visuals else None)
-                for i, piece in enumerate(fracture.pieces)
+        for k, hit in enumerate(hits):
+            when = self.time + hit.delay
+            same = [
+                old
+                for _, old in earlier
+                if old.other == hit.other
+                and np.linalg.norm(old.impulse.point - hit.impulse.point) < _SAME_PLACE * target.size
+                and old.impulse.direction @ hit.impulse.direction > 0.8
             ]
-            engine.remove(parent.id)  # after the pieces, so that none of them gets its id
-            del self._breakables[parent.id]
-            self._pieces.update({piece.id: piece for piece in pieces})
-            children = tuple(piece.id for piece in pieces)
-        timings |= {"fracture": 1e3 * (answered - start), "bodies": 1e3 * (perf_counter() - answered)}
-        return FractureEvent(parent.id, children, impulses, fracture, self.time, timings)
+            if any(old.impulse.magnitude >= hit.impulse.magnitude for old in same):
+                continue
+            record.hits = [entry for entry in record.hits if entry[1] not in same] + [(when, hit)]
+            together = max(together, hit.impulse.magnitude)
+            if k + 1 < len(hits) and hits[k + 1].delay == hit.delay:
+                continue
+            if together == 0.0:
+                continue
+            acting = sorted((one.impulse for _, one in record.hits), key=lambda one: -one.magnitude)
+            impulses = tuple(self._worn(record, acting))
+            together = 0.0
+            if not target.may_break(impulses):
+                continue
+            fracture = self._ask(record, impulses)
+            if fracture is not None and len(fracture.pieces) > 1:
+                timings = {"impulse": elapsed, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
+                return _Break(record, impulses, fracture, frozenset(one.other for one in hits), timings)
+        if self.fatigue is not None and record.hits:
+            self._tire(record)
+        return None
 
-    def _breakable(self, body: int) -> _Breakable:
-        self._find(body)
-        if body not in self._breakables:
-            raise PhysicsError(f"body {body} is a piece; only unbroken bodies, world.bodies, have an asset and break")
-        return self._breakables[body]
+    def _worn(self, record: Watched, impulses: list[Impulse]) -> list[Impulse]:
+        """The impulses as they act on a body that blows have weakened."""
+        if record.damage == 0.0:
+            return impulses
+        left = max(1.0 - record.damage, 1e-6)
+        return [Impulse(one.point, one.direction, one.magnitude / left) for one in impulses]
+
+    def _tire(self, record: Watched) -> None:
+        """Add what the hits of this step that broke nothing did (Miner's rule), once each."""
+        impulses = [hit.impulse for when, hit in record.hits if when >= self.time]
+        if not impulses or self.fatigue is None:
+            return
+        low, high = 1.0, 1.0
+        while high < 1e3 and not self._breaks(record, impulses, high):
+            low, high = high, 2.0 * high
+        for _ in range(5):
+            middle = (low * high) ** 0.5
+            low, high = (low, middle) if self._breaks(record, impulses, middle) else (middle, high)
+        record.damage = min(1.0, record.damage + high**-self.fatigue)
+
+    def _breaks(self, record: Watched, impulses: Sequence[Impulse], factor: float) -> bool:
+        blows = tuple(Impulse(one.point, one.direction, one.magnitude * factor) for one in impulses)
+        if not record.target.may_break(blows):
+            return False
+        fracture = self._ask(record, blows)
+        return fracture is not None and len(fracture.pieces) > 1
+
+    def _ask(self, record: Watched, impulses: tuple[Impulse, ...]) -> Fracture | None:
+        """The model's answer; None, and one warning for each model, when it has none that makes sense."""
+        try:
+            return record.target.fracture(impulses)
+        except (FracsimError, ValueError, IndexError, ArithmeticError) as error:
+            name = record.target.name
+            if name not in self._warned:
+                self._warned.add(name)
+                warnings.warn(f"{name} does not break: its model failed ({error})", RuntimeWarning, stacklevel=4)
+            return None
+
+    # How things moved before the step
+
+    def _motion_before(self, body: int, link: int) -> Motion:
+        """As kept, or where it was not, or somebody has changed it since, as the contacts tell."""
+        if (body, link) not in self._motions:
+            self._motions[body, link] = self._motion_found(body, link)
+        return self._motions[body, link]
+
+    def _motion_found(self, body: int, link: int) -> Motion:
+        kept = self._watch.motion_before(body, link)
+        if link >= 0 or self._engine.jointed(body):
+            return self._engine.link_motion(body, link) if kept is None else kept
+        if self._engine.is_static(body):
+            return self._engine.motion(body)
+        if kept is not None and self._tied(body):
+            return kept
+        told = undone(
+            self._engine,
+            body,
+            self._engine.placement_before(body, self._dt),
+            self._all_touches(),
+            self._dt,
+            self._gravity,
+        )
+        if kept is None:
+            return told
+        off = max(abs(a - b) for a, b in zip(told[0], kept[0], strict=True))
+        speed = max(abs(a) for a in told[0])
+        return told if off > 0.02 * self._least + 1e-3 * speed else kept
+
+    def _all_touches(self) -> list[Touch]:
+        if self._touches is None:
+            self._touches = self._engine.pairs()
+        return self._touches
+
+    def _tied(self, body: int) -> bool:
+        return any(body in (info[0], info[2]) for _, info in self._engine.constraints())
+
+    # The swap
+
+    def _exchange(self, breaks: list[_Break]) -> list[FractureEvent]:
+        """Put everything that the blows reached back to before the step, and pieces in place of what broke."""
+        engine, watch, dt = self._engine, self._watch, self._dt
+        start = perf_counter()
+        ties = [(info[0], info[2]) for _, info in engine.constraints() if info[2] >= 0]
+        broken = {one.record.body.id: one for one in breaks}
+        reached = island(self._all_touches(), ties, broken, engine.is_static)
+        states = {
+            body: engine.state_before(body, self._motion_before(body, -1), watch.rates_before(body), dt)
+            for body in reached
+        }
+        told = set()
+        for body, state in states.items():
+            if body in broken:
+                continue
+            engine.restore(state)
+            watch.restored(state)
+            self._spin.changed(body, state.motion[1])
+            record = watch.records.get(body)
+            if record is not None:
+                told |= {(body, hit.other) for when, hit in record.hits if when >= self.time}
+                record.hits = [entry for entry in record.hits if entry[0] < self.time]
+        self._told = frozenset(told)
+        rewinding = 1e3 * (perf_counter() - start)
+        events = []
+        for one in breaks:
+            one.timings["bodies"] = rewinding / len(breaks)
+            one.others |= frozenset(reached)
+            events.append(self._replace(one, states[one.record.body.id]))
+        return events
+
+    def _replace(self, what: _Break, state: State) -> FractureEvent:
+        """Swap a body for its pieces at the state given."""
+        engine, record, fracture = self._engine, what.record, what.fracture
+        start = perf_counter()
+        parent = record.body
+        pose = parent.pose(state.placement, state.motion)
+        surface = engine.surface(parent.id, *record.damping)
+        ties = [tie for tie in engine.constraints() if parent.id in (tie[1][0], tie[1][2])]
+        solids, asset = fracture.pieces, getattr(record.target, "asset", record.target)
+        if self.decomposition == "coacd":
+            solids = with_parts(asset, solids, decomposed(*task(asset, solids)))
+        pieces = spawn(engine, solids, pose, surface, SHARDS if self.visuals else None)
+        for tie in ties:
+            hand_over(engine, tie, parent, pieces, [piece.parts for piece in solids])
+        engine.remove(parent.id)  # after the pieces, so that none of them gets its id
+        self._watch.drop(parent.id)
+        self._watch.own.pop(parent.id, None)
+        children = tuple(piece.id for piece in pieces)
+        immune = what.others | frozenset(children)
+        generation = record.generation + 1
+        for piece, solid in zip(pieces, fracture.pieces, strict=True):
+            self._pieces[piece.id] = piece
+            self._damping[piece.id] = record.damping
+            self._watch.own[piece.id] = piece.token
+            if generation < self.generations and len(solid.atoms) > 1:
+                fragment = record.target.fragment(solid)
+                if fragment.domain.share >= self.smallest:
+                    bearable = fragment.bearable_impulse / LOAD
+                    watched = Watched(piece, fragment, record.damping, fragment.reach, bearable, generation)
+                    watched.immune, watched.immune_until = immune, self.time + _AFTER
+                    self._watch.add(watched)
+        self._pieces.pop(parent.id, None)
+        if self.decomposition == "background":
+            self._refining.append(Refinement.begun(asset, solids, pieces, self.time + self.refine_after))
+        self._spin.drop(parent.id)
+        self._spin.add(pieces, state.motion[1])
+        energy = CrackEnergy(record.target.material.fracture_energy * fracture.crack_area)
+        self._cooling.append(Cooling(energy, pieces, self.time + COOLING))
+        timings = what.timings
+        timings["bodies"] += 1e3 * (perf_counter() - start)
+        return FractureEvent(
+            parent.id, children, what.impulses, fracture, self.time, timings, energy, record.generation
+        )
+
+    def _cool(self) -> None:
+        """Let cracks take their energy from how their pieces have come to move."""
+        for one in tuple(self._cooling):
+            one.pieces = [piece for piece in one.pieces if self._pieces.get(piece.id) is piece]  # ids come again
+            demand = one.energy.demand - one.energy.taken
+            if self.time > one.until or demand <= 0.0 or len(one.pieces) < 2:
+                self._cooling.remove(one)
+                continue
+            try:
+                taken, motions = cool(self._engine, one.pieces, demand)
+            except Gone:
+                self._forget_removed()
+                continue
+            one.energy.taken += taken
+            if taken > 0.0:
+                for piece, motion in zip(one.pieces, motions, strict=True):
+                    self._watch.changed(piece.id, motion)
+                    self._spin.changed(piece.id, motion[1])
+
+    def _refine(self) -> None:
+        """Give pieces that are due the convex parts that were made for them meanwhile."""
+        for one in tuple(self._refining):
+            if self.time < one.due:
+                continue
+            self._refining.remove(one)
+            self._forget_removed()
+            for k, (solid, old) in enumerate(zip(one.refined(), one.bodies, strict=True)):
+                if self._pieces.get(old.id) is old:
+                    self._reshape(solid, old, k)
+
+    def _reshape(self, solid: Piece, old: Body, index: int) -> None:
+        """The same piece, of the same id and motion, in another shape."""
+        engine = self._engine
+        pose, surface = old.pose_now(engine), engine.surface(old.id, *self._damping[old.id])
+        motion = engine.motion(old.id)
+        ties = [tie for tie in engine.constraints() if old.id in (tie[1][0], tie[1][2])]
+        for constraint, _ in ties:
+            engine.untie(constraint)
+        engine.remove(old.id)
+        colors = [SHARDS[index % len(SHARDS)]] if self.visuals else None
+        [body] = spawn(engine, [solid], pose, surface, colors)
+        if body.id != old.id:  # the engine hands out the id that was freed last
+            raise PhysicsError(f"piece {old.id} came back as {body.id}; use decomposition='baked'")
+        for _, info in ties:
+            engine.tie(info)
+        self._pieces[body.id] = body
+        self._watch.own[body.id] = body.token
+        self._spin.add([body], motion[1])
+        record = self._watch.records.get(body.id)
+        if record is not None:
+            record.body = body
+            self._watch.wake(record)
+
+    def _save(self) -> None:
+        """Remove the smallest and stillest pieces while there are more than the budget allows."""
+        excess = 0 if self.budget is None else len(self._pieces) - self.budget
+        if excess <= 0:
+            return
+        self._forget_removed()
+
+        def liveliness(body: int) -> float:
+            return self._pieces[body].mass * (0.1 + float(np.linalg.norm(self._engine.motion(body)[0])))
+
+        for body in sorted(self._pieces, key=liveliness)[:excess]:
+            self._engine.remove(body)
+            self._forget(body)
+
+    # Who is there
 
     def _find(self, body: int) -> Body:
-        self._forget_removed(self._breakables)
-        self._forget_removed(self._pieces)
-        if body in self._breakables:
-            return self._breakables[body].body
+        self._forget_removed()
+        if body in self._watch.records:
+            return self._watch.records[body].body
         if body in self._pieces:
             return self._pieces[body]
-        raise PhysicsError(f"body {body} is not in this world; it has {[*self._breakables, *self._pieces]}")
+        raise PhysicsError(f"body {body} is not in this world; it has {[*self._watch.records, *self._pieces]}")
 
-    def _forget_removed(self, records: dict[int, Any]) -> None:
+    def _forget(self, body: int) -> None:
+        self._watch.drop(body)
+        self._watch.own.pop(body, None)
+        self._spin.drop(body)
+        self._damping.pop(body, None)
+        self._pieces.pop(body, None)
+
+    def _forget_removed(self) -> None:
         """Drop the records of bodies that somebody else took out of the engine."""
-        for body, record in tuple(records.items()):
-            token = (record.body if isinstance(record, _Breakable) else record).token
-            if not self._engine.is_marked(body, token):
-                del records[body]
+        bodies = {body: record.body for body, record in self._watch.records.items()} | self._pieces
+        for body, known in bodies.items():
+            if not self._engine.is_marked(body, known.token):
+                self._forget(body)
+
+
+def _is_number(value: object) -> bool:
+    try:
+        return bool(np.isfinite(value))  # type: ignore[call-overload]
+    except (TypeError, ValueError):
+        return False
+
+
+def _at_least(value: float, least: float, name: str) -> float:
+    if not _is_number(value) or value < least:
+        raise PhysicsError(f"{name} must be a number of at least {least:g}, got {value!r}")
+    return float(value)
 
 
 def _vector(value: Vector, name: str, length: int) -> FloatArray:
-    vector = np.array(value, dtype=np.float64)
+    try:
+        vector = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
     if vector.shape != (length,) or not np.isfinite(vector).all():
         raise PhysicsError(f"{name} must be {length} finite numbers, got {value}")
     return vector

@@ -13,6 +13,7 @@ from .watershed import flooded_passes
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +47,12 @@ class Basins:
         ]
         return cls(pairs, count, shores[reached], own, reached, np.array(bound, dtype=np.int64))
 
-    def labels(self, udf: FloatArray, height: float) -> IntArray:
+    def labels(self, udf: FloatArray, height: float, inside: BoolArray | None = None) -> IntArray:
         """(A,) pieces of a field (V,): atoms join where it stands more than ``height`` above what a crack between them
-        would leave."""
+        would leave. inside: (I,), the interfaces that may join at all; without, every one."""
         joined = np.zeros(len(self.pairs), dtype=bool)
         joined[self.reached] = flooded_passes(udf, self.shores, self.own, height)
         joined[self.bound] = True
+        if inside is not None:
+            joined &= inside
         return components(joined[None], self.pairs, self.count)[0]

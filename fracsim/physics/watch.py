@@ -1,0 +1,422 @@
+"""Which breakable bodies need a look after a step, and what moved how before it; everything else is left alone.
+
+A body awake costs one call of the engine a step, its velocity, and one more while something that moves is near.
+One that is still, or flies where nothing is, costs none: a single call for all of them says whether anything
+came near.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from .bodies import Body
+from .contacts import STILL, ContactImpulse, is_slow
+from .engine import Contacts, Engine, Gone, Motion, State, Triple
+
+CALM = 12  # steps that a body has to be slow for before it counts as asleep
+AHEAD = 12  # steps that a body in free flight is left alone for, at most
+EVERY = 16  # steps between looks at something that nothing else would notice
+SPEED = 10.0  # m/s: what comes faster may first be seen in the very step that it hits
+LASTING = 4  # steps that a force has to last for to be a load
+NEVER = 1 << 62
+
+
+@dataclass(eq=False)
+class Watched:
+    """A breakable body and what is known of it.
+
+    target: what breaks, an asset or a fragment; reach: m, from its centre of mass to its furthest point; bearable: N,
+    a sum of lasting forces that surely does nothing. motion: as of the last look; before: a step earlier; None
+    where it was left alone and flew.
+    """
+
+    body: Body
+    target: Any
+    damping: tuple[float, float]
+    reach: float
+    bearable: float
+    generation: int = 0
+    motion: Motion = STILL
+    before: Motion | None = STILL
+    center: list[float] = field(default_factory=list)
+    low: Triple = (0.0, 0.0, 0.0)  # of the box that it stays in while nothing is asked
+    high: Triple = (0.0, 0.0, 0.0)
+    slack: float = 0.0  # m that it may move before its box is made anew
+    until: int = 0  # the step up to which it is left alone
+    asleep: bool = False  # whether that is because it lies still
+    since: int = 0  # the step from which it does
+    calm: int = 0
+    tried: int = 0  # the step at which it last asked for free flight
+    foreign: bool = False  # whether something that moves was near at the last look
+    pressed: int = 0  # steps for which more than a bearable force has
+    loaded: bool = False  # whether that has lasted and is to be judged now
+    lightest: Contacts | None = None  # of the last few of these
+    hits: list[tuple[float, ContactImpulse]] = field(default_factory=list)  # of the last CHAIN seconds
+    damage: float = 0.0
+    immune: frozenset[int] = frozenset()  # bodies that cannot break it
+    immune_until: float = 0.0
+
+
+class Watch:
+    """The breakable bodies of a world. ``look`` is called after every step."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.records: dict[int, Watched] = {}
+        self.own: dict[int, str] = {}  # every body that the world made, breakable or not, and its mark
+        self.contacts: dict[int, Contacts | None] = {}  # asked for since the last step
+        self.loaded = False  # whether anything is pressed
+        self._awake: list[Watched] = []
+        self._left: list[Watched] = []
+        self._box: tuple[Triple, Triple] | None = None
+        self._seen: tuple[tuple[int, int], ...] = ()
+        self._moving = False  # whether something foreign that may move is in the box
+        self._static: dict[int, bool] = {}
+        self._planes: dict[int, Any] = {}
+        self._before: dict[tuple[int, int], Motion] = {}  # of what is foreign and near, before the last step
+        self._now: dict[tuple[int, int], Motion] = {}
+        self._rates: dict[int, tuple[tuple[float, ...], ...]] = {}
+        self._rates_now: dict[int, tuple[tuple[float, ...], ...]] = {}
+        self._tied: list[int] = []  # foreign bodies that constraints join to some of these
+        self._census = (0, -1)
+        self._foreign: frozenset[int] = frozenset()  # whatever else may move
+        self._steps = 0
+        self._turn = 0
+        self._called: list[Watched] = []  # to be looked at after the next step, come what may
+        self._due = NEVER  # the first step at which one left alone is to be seen again
+
+    # Who is watched
+
+    def add(self, record: Watched) -> None:
+        self.records[record.body.id] = record
+        self._awake.append(record)
+        self.own[record.body.id] = record.body.token
+        self._refresh(record)
+
+    def drop(self, body: int) -> None:
+        """Watch it no more; it may be gone."""
+        record = self.records.pop(body, None)
+        if record is not None:
+            (self._awake if record in self._awake else self._left).remove(record)
+            self._box = None
+        self.contacts.pop(body, None)
+
+    def wake(self, record: Watched, look: bool = False) -> None:
+        """Look at a body every step, from what the engine says of it now; in the next one whatever it does."""
+        if record in self._left:
+            self._left.remove(record)
+            self._awake.append(record)
+        record.calm = record.pressed = 0
+        try:
+            self._refresh(record)
+        except Gone:
+            self.drop(record.body.id)
+            return
+        if look:
+            self._called.append(record)
+
+    def _refresh(self, record: Watched) -> None:
+        record.motion = self.engine.motion(record.body.id)
+        record.before = None
+        record.center = list(self.engine.placement(record.body.id)[0])
+        record.until, record.asleep = 0, False
+        record.slack = -1.0
+
+    # After a step
+
+    def look(self, dt: float, gravity: Triple, least: float) -> list[Watched]:
+        """The bodies that something may have struck in the last step. least: the ``gate``."""
+        engine = self.engine
+        self._steps += 1
+        if self.contacts:
+            self.contacts.clear()
+        suspects: list[Watched] = []
+        if self._awake:
+            self._poll(suspects, dt, gravity, least)
+        if self._called:
+            for record in self._called:
+                record.before = None
+                if record not in suspects and record.body.id in self.records:
+                    suspects.append(record)
+            self._called.clear()
+        turn = self._steps % EVERY
+        census = engine.census()
+        if turn == 0 or census != self._census:
+            if census != self._census:
+                self._census = census
+                for record in tuple(self._left):  # what they lay on may be gone
+                    if record.asleep:
+                        self.wake(record)
+            self._recount()
+        if turn == 0:
+            self._inspect()
+        elif turn & 3 == 1 and self._left:
+            self._check(least)
+        if self._due <= self._steps:
+            self._due = NEVER
+            for record in tuple(self._left):
+                if record.until <= self._steps and not (record.asleep and self._lies(record)):
+                    self.wake(record)
+                else:
+                    self._due = min(self._due, record.until)
+        if self._foreign:
+            box = self._box or self._enclose(dt)
+            seen = engine.near(*box)
+            if seen != self._seen:
+                self._seen = seen
+                self._moving = not self._foreign.isdisjoint([body for body, _ in seen])
+        if self._moving or self._tied:
+            self._meet(suspects, least)
+        elif self._now or self._before:
+            self._before, self._now, self._rates, self._rates_now = self._now, {}, self._rates_now, {}
+        return suspects
+
+    def _recount(self) -> None:
+        """Find out anew what there is besides; ids of removed bodies are handed out again."""
+        self._static.clear()
+        self._planes.clear()
+        self.engine.forget()
+        self.own = {body: mark for body, mark in self.own.items() if self.engine.is_marked(body, mark)}
+        self._seen = ()
+        self._foreign = frozenset(body for body in self.engine.bodies() if not self._is_quiet(body))
+        self._moving = False
+        self._tied = self.engine.tied(self.records)
+
+    def _poll(self, suspects: list[Watched], dt: float, gravity: Triple, least: float) -> None:
+        motion_of = self.engine.motion
+        fall_x, fall_y, fall_z = gravity[0] * dt, gravity[1] * dt, gravity[2] * dt
+        limit, steps = 0.75 * least, self._steps
+        for record in tuple(self._awake):
+            old = record.motion
+            try:
+                motion = motion_of(record.body.id)
+            except Gone:
+                self.drop(record.body.id)
+                continue
+            record.before, record.motion = old, motion
+            (a, b, c), (d, e, f) = motion
+            (a0, b0, c0), (d0, e0, f0) = old
+            reach = record.reach
+            jump = abs(a - a0 - fall_x) + abs(b - b0 - fall_y) + abs(c - c0 - fall_z)
+            # What lies still is held up by what it lies on, which takes the fall back.
+            held = abs(a - a0) + abs(b - b0) + abs(c - c0)
+            turn = abs(d - d0) + abs(e - e0) + abs(f - f0)
+            moved = (abs(a) + abs(b) + abs(c)) * dt
+            center = record.center
+            center[0] += a * dt
+            center[1] += b * dt
+            center[2] += c * dt
+            if (jump if jump < held else held) + reach * turn > limit:
+                suspects.append(record)
+                record.calm = 0
+            elif moved < 0.25 * least * dt and is_slow(motion, least, reach):
+                record.calm += 1
+                if record.calm >= CALM and not record.foreign and not record.pressed:
+                    self._leave(record, NEVER, dt)
+                    continue
+            else:
+                record.calm = 0
+            if record.pressed:
+                self._press(record)
+            record.slack -= moved
+            if steps - record.tried >= AHEAD and not record.foreign and self._is_free(record, dt, gravity):
+                self._leave(record, steps + AHEAD, dt)
+            elif record.slack < 0.0:
+                self._box_of(record, dt)
+
+    def _box_of(self, record: Watched, dt: float) -> None:
+        """A box that the body keeps a margin to on all sides until it has moved."""
+        margin = SPEED * dt + 0.01 * record.reach
+        record.slack = 0.5 * margin
+        reach = record.reach + 2 * margin
+        x, y, z = record.center
+        record.low, record.high = (x - reach, y - reach, z - reach), (x + reach, y + reach, z + reach)
+        self._box = None
+
+    def _leave(self, record: Watched, until: int, dt: float) -> None:
+        self._awake.remove(record)
+        self._left.append(record)
+        if until == NEVER:
+            record.asleep, record.since = True, self._steps
+            self._box_of(record, dt)
+            speed = max(map(abs, record.motion[0]))
+            if speed > 1e-9:  # it creeps
+                until = self._steps + 1 + int(record.slack / (3 * speed * dt))
+        record.until = until
+        self._due = min(self._due, until)
+
+    def _is_free(self, record: Watched, dt: float, gravity: Triple) -> bool:
+        """Whether nothing can be met in the next AHEAD steps unless it comes near; then its box covers the way."""
+        record.tried = self._steps
+        time = (AHEAD + 2) * dt
+        margin = SPEED * dt + record.reach
+        low, high = [], []
+        for x, v, g in zip(record.center, record.motion[0], gravity, strict=True):
+            # The way there and back is at most what speed and fall add up to.
+            end = v * time + 0.5 * g * time * time
+            turn = -0.5 * v * v / g if g * v < 0.0 and abs(v) < abs(g) * time else 0.0
+            low.append(x + min(0.0, end, turn) - margin)
+            high.append(x + max(0.0, end, turn) + margin)
+        corners = (low[0], low[1], low[2]), (high[0], high[1], high[2])
+        for body, _ in self.engine.near(*corners):
+            if body != record.body.id and not self._is_clear(body, low, high):
+                return False
+        record.low, record.high = corners
+        self._box = None
+        return True
+
+    def _is_clear(self, body: int, low: list[float], high: list[float]) -> bool:
+        """Whether a body that meets a box by its bounding box is an infinite plane that does not."""
+        if not self._is_quiet(body) or body in self.own:
+            return False
+        if body not in self._planes:
+            self._planes[body] = self.engine.plane(body)
+        if self._planes[body] is None:
+            return False
+        normal, height = self._planes[body]
+        nearest = sum(n * (a if n > 0.0 else b) for n, a, b in zip(normal.tolist(), low, high, strict=True))
+        return bool(nearest > height)
+
+    def _lies(self, record: Watched) -> bool:
+        """Whether a sleeper whose velocity made it seem to creep is where it was; it has as long again, then."""
+        try:
+            place = self.engine.placement(record.body.id)[0]
+        except Gone:
+            return False
+        moved = max(abs(a - b) for a, b in zip(place, record.center, strict=True))
+        record.until = self._steps + max(CALM, 2 * (self._steps - record.since))
+        return moved < 0.25 * record.slack
+
+    def _check(self, least: float) -> None:
+        """Whether one of those asleep, each in its turn, still is."""
+        self._turn += 1
+        record = self._left[self._turn % len(self._left)]
+        try:
+            if record.asleep and not is_slow(self.engine.motion(record.body.id), least, record.reach):
+                self.wake(record)
+        except Gone:
+            self.drop(record.body.id)
+
+    def _inspect(self) -> None:
+        """The forces on one of the bodies, each in its turn: a load moves nothing."""
+        records = [*self._awake, *self._left]
+        self._turn += 1
+        record = records[self._turn % len(records)]
+        if not record.pressed:
+            self._press(record)
+
+    def _enclose(self, dt: float) -> tuple[Triple, Triple]:
+        for record in self._awake:
+            if record.slack < 0.0:
+                self._box_of(record, dt)
+        low, high = [1e30] * 3, [-1e30] * 3
+        for record in self.records.values():
+            for k in range(3):
+                low[k] = min(low[k], record.low[k])
+                high[k] = max(high[k], record.high[k])
+        self._box = (low[0], low[1], low[2]), (high[0], high[1], high[2])
+        return self._box
+
+    def _is_quiet(self, body: int) -> bool:
+        """Whether a body is one of the world's own or cannot move."""
+        if body in self.own:
+            return True
+        static = self._static.get(body)
+        if static is None:
+            static = self._static[body] = self.engine.is_static(body)
+        return static
+
+    def _meet(self, suspects: list[Watched], least: float) -> None:
+        """What moves near whom: its motion is kept for the step to come, and those it pushes on are looked at."""
+        engine = self.engine
+        near: set[tuple[int, int]] = {(body, -1) for body in self._tied}
+        for record in (*self._awake, *self._left):
+            foreign = [key for key in engine.near(record.low, record.high) if not self._is_quiet(key[0])]
+            record.foreign = bool(foreign)
+            if not foreign:
+                continue
+            slow = False
+            if record.until:
+                asleep, was = record.asleep, record.motion
+                self.wake(record)
+                slow = asleep and is_slow(was, least, record.reach)
+            near.update(foreign)
+            contacts = self.touching(record.body.id)
+            if contacts is None or record in suspects:
+                continue
+            if not record.pressed and contacts.forces.sum() > record.bearable:
+                self._press(record)
+            pushing = [key for key in set(contacts.others) if not self._is_quiet(key[0])]
+            if record.before is not None:
+                slow = is_slow(record.before, least, record.reach)
+            for key in pushing:
+                motion = self._now.get(key)
+                if motion is None or not slow or not is_slow(motion, least, 1.0):
+                    suspects.append(record)
+                    break
+        self._before, self._rates = self._now, self._rates_now
+        self._now = {key: engine.link_motion(*key) for key in near}
+        bodies = {body for body, _ in near}
+        self._now |= {(body, -1): engine.motion(body) for body in bodies if (body, -1) not in self._now}
+        self._rates_now = {body: engine.joint_rates(body) for body in bodies}
+
+    def touching(self, body: int) -> Contacts | None:
+        """The contacts of a body in the last step."""
+        if body not in self.contacts:
+            self.contacts[body] = self.engine.contacts(body)
+        return self.contacts[body]
+
+    def _press(self, record: Watched) -> None:
+        """Count the steps for which more than a bearable force has pressed on a body."""
+        contacts = self.touching(record.body.id)
+        slow = is_slow(record.motion, 0.4, record.reach)
+        if contacts is None or not slow or contacts.forces.sum() <= record.bearable:
+            record.pressed, record.lightest = 0, None
+            return
+        if record.until:
+            self.wake(record)
+        record.pressed += 1
+        self.loaded = True
+        if record.pressed % EVERY == 1:
+            record.lightest = None
+        if record.lightest is None or contacts.forces.sum() < record.lightest.forces.sum():
+            record.lightest = contacts
+
+    def pressed(self) -> list[Watched]:
+        """The bodies that more than a bearable force has pressed on for long enough to count, now and then."""
+        found = []
+        for record in self._awake:
+            record.loaded = record.pressed > 0 and record.pressed % EVERY == LASTING
+            if record.loaded:
+                found.append(record)
+        self.loaded = any(record.pressed for record in self._awake)
+        return found
+
+    # What was before
+
+    def motion_before(self, body: int, link: int) -> Motion | None:
+        """How a body moved before the last step, if that was kept."""
+        record = self.records.get(body)
+        if record is None:
+            return self._before.get((body, link))
+        return None if record.until else record.before
+
+    def rates_before(self, body: int) -> tuple[tuple[float, ...], ...] | None:
+        """The velocities of its joints then, if they were kept."""
+        return self._rates.get(body)
+
+    def restored(self, state: State) -> None:
+        """A body has been put back to where it was."""
+        record = self.records.get(state.body)
+        if record is not None:
+            self.wake(record)
+        elif (state.body, -1) in self._now:
+            for key in [key for key in self._now if key[0] == state.body]:
+                self._now[key] = self._before.get(key, state.motion)
+            self._rates_now[state.body] = state.rates
+
+    def changed(self, body: int, motion: Motion) -> None:
+        """A body was given another velocity after the last step."""
+        if body in self.records:
+            self.records[body].motion = motion
