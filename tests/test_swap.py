@@ -143,13 +143,16 @@ def test_a_constraint_goes_over_to_the_piece_that_it_holds(client):
     world = fracsim.World(client)
     body = free(world, SlabBox())
     center = p.getBasePositionAndOrientation(body, physicsClientId=client)[0]
-    p.createConstraint(
+    hold = p.createConstraint(
         body, -1, -1, -1, p.JOINT_POINT2POINT, (0, 0, 0), (-0.45, 0, 0), (0.05, 0.5, 0.5), physicsClientId=client
     )
     assert center == pytest.approx((0.5, 0.5, 0.5))
+    assert world.constraint(hold) == hold
     event = world.fracture(body, HARD)
     assert p.getNumConstraints(physicsClientId=client) == 1
-    held = p.getConstraintInfo(p.getConstraintUniqueId(0, physicsClientId=client), physicsClientId=client)[0]
+    assert event.constraints == {hold: p.getConstraintUniqueId(0, physicsClientId=client)}
+    assert world.constraint(hold) == event.constraints[hold]
+    held = p.getConstraintInfo(world.constraint(hold), physicsClientId=client)[0]
     assert held == event.children[0]
     p.setGravity(0, 0, -9.81, physicsClientId=client)
     for _ in range(120):
@@ -233,8 +236,9 @@ def test_a_shard_that_spins_keeps_its_angular_momentum_and_gains_no_energy(clien
     p.changeDynamics(shard, -1, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
     spin = speed * np.array([0.3, 1.0, 0.2])
     p.resetBaseVelocity(shard, (1, 0, 0), spin.tolist(), physicsClientId=client)
-    guard = Spin(Engine(client))
-    guard.add([Body(shard, "", 0.1, np.zeros(3), np.eye(3), moments)], tuple(spin))
+    engine = Engine(client)
+    guard = Spin(engine)
+    guard.add([Body(shard, engine.mark(shard), 0.1, np.zeros(3), np.eye(3), moments)], tuple(spin))
     guard.hold(1 / rate)  # in the step in which it comes to be
     *_, angular, _, energy = mechanics(client, [shard])
     for _ in range(rate):

@@ -15,6 +15,7 @@ import pybullet as p
 import pytest
 
 import fracsim
+from fracsim.physics.contacts import ContactImpulse
 from fracsim.pieces import Parts
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -458,6 +459,93 @@ def test_a_body_removed_by_the_user_is_forgotten_even_if_its_id_lives_on(client)
         world.fracture(body, HARD)
 
 
+def test_what_takes_the_id_of_a_removed_piece_is_left_alone(client):
+    world = fracsim.World(client)
+    event = world.fracture(world.add(SlabBox(energy=50.0), angular_velocity=(0, 0, 3)), HARD)
+    for child in event.children:
+        p.removeBody(child, physicsClientId=client)
+    other = ball(client, 1.0, 0.1, (0, 0, 9), (30, 0, 0))
+    p.resetBaseVelocity(other, (30, 0, 0), (0, 0, 1000), physicsClientId=client)
+    assert other in event.children
+    for _ in range(10):
+        world.step()
+    linear, angular = p.getBaseVelocity(other, physicsClientId=client)
+    assert linear == pytest.approx((30, 0, 0))
+    assert angular == pytest.approx((0, 0, 1000))
+    body = world.add(SlabBox())
+    assert body in event.children
+    assert world.bodies == (body,)
+    assert len(world.fracture(body, HARD).children) == 4
+
+
+def test_a_callback_may_put_another_body_in_one_s_place(client):
+    floor(client)
+    world = fracsim.World(client)
+    world.add(SlabBox(), (0, 0, 0))
+    hammer = ball(client, 1.0, 0.1, (0.5, 0.5, 1.3), (0, 0, -20))
+    made = []
+
+    def replace(hit):
+        if hit.other == hammer and not made:
+            p.removeBody(hammer, physicsClientId=client)
+            made.append(ball(client, 1.0, 0.1, (9, 9, 9), (0, 0, 0)))
+
+    world.on_contact(replace)
+    assert any(world.step() for _ in range(20))
+    assert made == [hammer]
+    assert p.getBasePositionAndOrientation(hammer, physicsClientId=client)[0] == (9, 9, 9)
+    assert p.getBaseVelocity(hammer, physicsClientId=client)[0] == (0, 0, 0)
+
+
+def test_a_body_woken_and_removed_takes_nothing_from_the_next_of_its_id(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox())
+    world.wake(body)
+    world.remove(body)
+    assert world.add(SlabBox()) == body
+    world.step()
+    assert world.bodies == (body,)
+
+
+def test_a_world_that_outlives_a_reset_uses_none_of_its_shapes(client):
+    world = fracsim.World(client)
+    asset = SlabBox()
+    world.add(asset)
+    p.resetSimulation(physicsClientId=client)
+    p.createCollisionShape(p.GEOM_SPHERE, radius=0.3, physicsClientId=client)
+    p.createCollisionShape(p.GEOM_SPHERE, radius=0.4, physicsClientId=client)
+    body = world.add(asset)
+    shapes = p.getCollisionShapeData(body, -1, physicsClientId=client)
+    assert [shape[2] for shape in shapes] == [p.GEOM_MESH] * 2
+    assert len(world.fracture(body, HARD).children) == 4
+
+
+def test_pieces_weigh_what_the_body_did_when_it_broke(client):
+    floor(client)
+    p.setGravity(0, 0, 0, physicsClientId=client)
+    world = fracsim.World(client)
+    asset = SlabBox(toughness=0.1)
+    body = world.add(asset, linear_velocity=(0, 0, 3))
+    p.changeDynamics(body, -1, mass=3 * asset.mass, physicsClientId=client)
+    before = mechanics(client, [body])
+    hits = []
+    world.on_contact(hits.append)
+    ball(client, 1.0, 0.1, (0.5, 0.5, 1.2), (0, 0, -10))
+    children = next(event.children for _ in range(20) for event in world.step())
+    assert mechanics(client, children)[0] == pytest.approx(before[0])
+    assert sum(hit.impulse.magnitude for hit in hits) == pytest.approx(13 / (1 + 1 / (3 * asset.mass)), rel=0.02)
+
+
+def test_a_body_held_by_having_no_mass_breaks_into_pieces_that_have_some(client):
+    world = fracsim.World(client)
+    asset = SlabBox()
+    body = world.add(asset)
+    p.changeDynamics(body, -1, mass=0, physicsClientId=client)
+    ball(client, 1.0, 0.1, (0.5, 0.5, 1.2), (0, 0, -10))
+    children = next(event.children for _ in range(20) for event in world.step())
+    assert mechanics(client, children)[0] == pytest.approx(asset.mass)
+
+
 def test_remove_takes_bodies_and_pieces_out_of_the_engine(client):
     world = fracsim.World(client)
     keep = world.add(SlabBox(), (5, 0, 0))
@@ -493,8 +581,30 @@ def test_a_client_that_is_not_connected_is_refused(client):
     world = fracsim.World(client)
     world.add(SlabBox())
     p.disconnect(client)
-    with pytest.raises(fracsim.PhysicsError, match="not connected"):
+    for call in (world.step, world.wake, lambda: world.bodies, lambda: world.pose(0), lambda: world.add(SlabBox())):
+        with pytest.raises(fracsim.PhysicsError, match="not connected"):
+            call()
+
+
+def test_clients_and_assets_are_told_from_what_is_none(client):
+    for wrong in (None, "0", 1.0, True):
+        with pytest.raises(fracsim.PhysicsError, match="integer that"):
+            fracsim.World(wrong)
+    assert fracsim.World(SimpleNamespace(_client=client)).client == client  # as pybullet_utils wraps one
+    with pytest.raises(fracsim.PhysicsError, match=r"fracsim\.load"):
+        fracsim.World(client).add("vase")
+
+
+def test_substeps_are_refused(client):
+    world = fracsim.World(client)
+    world.add(SlabBox())
+    p.setPhysicsEngineParameter(numSubSteps=4, physicsClientId=client)
+    for _ in range(6):
         world.step()
+    with pytest.raises(fracsim.PhysicsError, match="numSubSteps"):
+        [world.step() for _ in range(2)]
+    with pytest.raises(fracsim.PhysicsError, match="numSubSteps"):
+        fracsim.World(client)
 
 
 @pytest.mark.parametrize(
@@ -515,7 +625,9 @@ def test_bad_placements_are_refused_and_leave_nothing_behind(client, bad):
     assert p.getNumBodies(physicsClientId=client) == 0
 
 
-@pytest.mark.parametrize("error", [fracsim.FieldError("not finite"), ValueError("shapes"), IndexError("too many")])
+@pytest.mark.parametrize(
+    "error", [fracsim.FieldError("not finite"), ValueError("shapes"), IndexError("too many"), RuntimeError("CUDA")]
+)
 def test_a_model_that_fails_leaves_the_body_whole_with_one_warning(client, error):
     class Broken(SlabBox):
         def fracture(self, impulses, predictor="field"):
@@ -533,6 +645,30 @@ def test_a_model_that_fails_leaves_the_body_whole_with_one_warning(client, error
     assert event.children == ()
     assert len(event.fracture.pieces) == 1
     assert world.bodies == (body,)
+
+
+def test_a_model_that_fails_when_it_is_made_ready_is_one_that_fails(client):
+    class Broken(SlabBox):
+        def prepare(self):
+            raise fracsim.FieldError("not finite")
+
+    with pytest.warns(RuntimeWarning, match="does not break: its model failed"):
+        assert fracsim.World(client).add(Broken()) == 0
+
+
+def test_a_weak_hit_come_again_does_not_hide_a_strong_one_beside_it(client):
+    world = fracsim.World(client)
+    body = world.add(SlabBox(toughness=5.0))
+    record = world._watch.records[body]
+
+    def hit(size, x):
+        impulse = fracsim.Impulse((x, 0.5, 1.0), (0, 0, -1), size)
+        return ContactImpulse(body, 7, -1, impulse.point, impulse.direction, 1.0, impulse, True)
+
+    weak, strong = hit(1.0, 0.1), hit(10.0, 0.9)
+    for hits in ([strong, weak], [weak, strong]):
+        record.hits = [(-0.001, weak)]
+        assert world._try(record, hits, 0.0) is not None
 
 
 # --- what a scene does not need

@@ -88,9 +88,13 @@ def spawn(
     pose: Pose,
     surface: Surface,
     colors: Sequence[Color] | None,
+    heavier: float = 1.0,
 ) -> list[Body]:
-    """Put solids into the world where `pose` has the asset's frame, moving with it; without colors, unseen."""
-    moments, axes = np.linalg.eigh(np.array([solid.inertia for solid in solids]))  # (n, 3), (n, 3, 3)
+    """Put solids into the world where `pose` has the asset's frame, moving with it; without colors, unseen.
+
+    heavier: how many times their own mass they have.
+    """
+    moments, axes = np.linalg.eigh(heavier * np.array([solid.inertia for solid in solids]))  # (n, 3), (n, 3, 3)
     axes[..., 2] *= np.sign(np.linalg.det(axes))[:, None]
     centers = np.array([solid.center_of_mass for solid in solids])
     arms = centers @ pose.rotation.T
@@ -109,7 +113,7 @@ def spawn(
         parts = solid.parts
         frame = tuple(((parts.offset - centers[k]) @ axes[k]).tolist()), frames[k]
         motion = tuple(speeds[k].tolist()), spin
-        mass = float(solid.mass)
+        mass = heavier * float(solid.mass)
         place = places[k], ways[k]
         body = engine.create(parts, frame, mass, moments[k].tolist(), place, motion, surface, visual)
         bodies.append(Body(body, engine.mark(body), mass, centers[k], axes[k], moments[k]))

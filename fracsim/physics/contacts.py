@@ -264,6 +264,8 @@ def loads(
     pose = body.pose(placement, STILL)
     own = _own(engine, body, placement)
     turn = cross(contacts.points - own.center, contacts.normals)
+    if own.mass == 0.0:
+        return []
     response = contacts.normals @ contacts.normals.T / own.mass + turn @ _inverse_inertia(own) @ turn.T
     weight = _complementary(response, -(contacts.normals @ np.array(gravity)))  # N
     share = 1.0 - weight.sum() / contacts.forces.sum()
@@ -289,9 +291,7 @@ def loads(
 
 def _own(engine: Engine, body: Body, placement: Placement) -> Rigid:
     center, quaternion = placement
-    surface = engine.surface(body.id, 0.0, 0.0)
-    rotation = rotation_of(quaternion)
-    return Rigid(body.mass, body.moments, np.array(center), rotation, surface.restitution, surface.friction, False)
+    return replace(engine.rigid(body.id, -1), center=np.array(center), rotation=rotation_of(quaternion))
 
 
 def _inverse_inertia(part: Rigid) -> FloatArray:

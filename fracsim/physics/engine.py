@@ -1,4 +1,4 @@
-"""The only module that talks to PyBullet; every call carries its physics client id.
+"""The only module of a running simulation that talks to PyBullet; every call carries its physics client id.
 
 It moves numbers in and out of the engine and decides nothing. `Engine` sees a client that belongs to somebody
 else, whose engine-wide parameters are read and never set; `Scene` is a client of one's own.
@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import count
 from typing import Any
 
@@ -65,15 +66,38 @@ class Rigid:
     jointed: bool
 
 
-@dataclass(frozen=True, eq=False)
 class Contacts:
-    """The n contacts of one body that carried force in the last step, as they were in the pose before it."""
+    """The n contacts of one body that carried force in the last step, as they were in the pose before it.
 
-    others: tuple[tuple[int, int], ...]  # (body, link), -1 being its base
-    points: FloatArray  # (n, 3) on the body, world
-    normals: FloatArray  # (n, 3) unit, the way the body is pushed
-    depths: FloatArray  # (n,) m, how far the two were in each other
-    forces: FloatArray  # (n,) N, normal
+    others: (body, link) of what it touches, -1 being its base. force: N, the sum of their normal forces.
+    """
+
+    def __init__(self, points: Sequence[tuple[Any, ...]]) -> None:
+        self._points = points
+        self.others = tuple((q[2], q[4]) for q in points)
+        self.force: float = sum(q[9] for q in points)
+
+    # As arrays only once something was hit.
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """(n, 3) on the body, world."""
+        return np.array([q[5] for q in self._points])
+
+    @cached_property
+    def normals(self) -> FloatArray:
+        """(n, 3) unit, the way the body is pushed."""
+        return np.array([q[7] for q in self._points])
+
+    @cached_property
+    def depths(self) -> FloatArray:
+        """(n,) m, how far the two were in each other."""
+        return np.array([-q[8] for q in self._points])
+
+    @cached_property
+    def forces(self) -> FloatArray:
+        """(n,) N, normal."""
+        return np.array([q[9] for q in self._points])
 
 
 @dataclass(frozen=True)
@@ -92,7 +116,10 @@ class Engine:
     """A connected PyBullet client, seen through the calls that breaking needs."""
 
     def __init__(self, client: int) -> None:
-        self.client = client
+        client = getattr(client, "_client", client)  # a pybullet_utils.bullet_client.BulletClient
+        if isinstance(client, bool) or not isinstance(client, (int, np.integer)):
+            raise PhysicsError(f"a physics client is the integer that pybullet.connect returns, got {client!r}")
+        self.client = int(client)
         self.require_connection()
         self._hidden = -1
         self._shapes: dict[tuple[Any, ...], tuple[Parts, int]] = {}
@@ -117,6 +144,11 @@ class Engine:
         except p.error:
             self.require_connection()
             raise
+        if info["numSubSteps"] > 1:
+            raise PhysicsError(
+                f"numSubSteps is {info['numSubSteps']}, and PyBullet shows the contacts of the last substep only: "
+                "set it to 0 and make fixedTimeStep smaller instead"
+            )
         gravity = (info["gravityAccelerationX"], info["gravityAccelerationY"], info["gravityAccelerationZ"])
         return info["fixedTimeStep"], gravity
 
@@ -149,6 +181,18 @@ class Engine:
             return self.motion(body)
         state = p.getLinkState(body, link, computeLinkVelocity=1, physicsClientId=self.client)
         return state[6], state[7]
+
+    def motions(self, keys: Collection[tuple[int, int]]) -> dict[tuple[int, int], Motion]:
+        """Of (body, link) each, and of the bases of these bodies; the links of a body by one call."""
+        found = {(body, -1): self.motion(body) for body in {body for body, _ in keys}}
+        links: dict[int, list[int]] = {}
+        for body, link in keys:
+            if link >= 0:
+                links.setdefault(body, []).append(link)
+        for body, some in links.items():
+            states = p.getLinkStates(body, some, computeLinkVelocity=1, physicsClientId=self.client)
+            found |= {(body, link): (state[6], state[7]) for link, state in zip(some, states, strict=True)}
+        return found
 
     def joint_rates(self, body: int) -> tuple[tuple[float, ...], ...]:
         """The velocity of each joint that moves."""
@@ -223,6 +267,11 @@ class Engine:
         """(body, link) of everything whose bounding box met this one when the last step looked for contacts."""
         return p.getOverlappingObjects(low, high, physicsClientId=self.client) or ()
 
+    def box(self, body: int, link: int) -> tuple[Triple, Triple]:
+        """Of a body's base or a link, where it is now; axis-aligned."""
+        box: tuple[Triple, Triple] = p.getAABB(body, link, physicsClientId=self.client)
+        return box
+
     def plane(self, body: int) -> tuple[FloatArray, float] | None:
         """Normal (3,) and height over the origin of a body that is an infinite plane."""
         shapes = p.getCollisionShapeData(body, -1, physicsClientId=self.client)
@@ -235,15 +284,11 @@ class Engine:
     def contacts(self, body: int) -> Contacts | None:
         """The contacts of the last step that pushed on the body, if any."""
         points = [q for q in p.getContactPoints(bodyA=body, physicsClientId=self.client) or () if q[9] > 0.0]
-        if not points:
-            return None
-        return Contacts(
-            tuple((q[2], q[4]) for q in points),
-            np.array([q[5] for q in points]),
-            np.array([q[7] for q in points]),
-            np.array([-q[8] for q in points]),
-            np.array([q[9] for q in points]),
-        )
+        return Contacts(points) if points else None
+
+    def touch(self, body: int, other: int) -> bool:
+        """Whether the two have a contact, with force or without."""
+        return bool(p.getContactPoints(bodyA=body, bodyB=other, physicsClientId=self.client))
 
     def pairs(self) -> list[tuple[int, int, FloatArray, FloatArray, FloatArray]]:
         """(a, b, force on a (3,) N, place on a (3,), place on b) of every contact that carried force, with friction.
@@ -302,6 +347,10 @@ class Engine:
         jointed = p.getNumJoints(body, physicsClientId=self.client) > 0
         return Rigid(info[0], np.array(info[2]), np.array(center), rotation_of(axes), info[5], info[1], jointed)
 
+    def mass(self, body: int) -> float:
+        """kg; 0 for one that is static."""
+        return float(p.getDynamicsInfo(body, -1, physicsClientId=self.client)[0])
+
     def surface(self, body: int, linear_damping: float, angular_damping: float) -> Surface:
         """The body's contact properties as they are now; damping cannot be read back from the engine."""
         info = p.getDynamicsInfo(body, -1, physicsClientId=self.client)
@@ -326,8 +375,15 @@ class Engine:
         """
         client = self.client
         try:
+            known = len(self._shapes)
             shape = self._shape(parts, frame)
             body: int = p.createMultiBody(mass, shape, visual, *place, physicsClientId=client)
+            if len(self._shapes) == known and not self._has_shape(body, parts, frame):
+                p.removeBody(body, physicsClientId=client)  # somebody has reset the simulation, and no id is ours now
+                self._shapes.clear()
+                self._hidden = -1
+                shape = self._shape(parts, frame)
+                body = p.createMultiBody(mass, shape, self.hidden(), *place, physicsClientId=client)
         except p.error as error:
             raise PhysicsError(f"PyBullet rejected a body of {len(parts)} convex parts: {error}") from error
         options = {}
@@ -375,6 +431,11 @@ class Engine:
             os.unlink(path)
         self._shapes[key] = parts, shape  # with the parts, lest others get their identities
         return shape
+
+    def _has_shape(self, body: int, parts: Parts, frame: Placement) -> bool:
+        """Whether a body is made of the parts."""
+        shapes = p.getCollisionShapeData(body, -1, physicsClientId=self.client)
+        return len(shapes) == len(parts) and shapes[0][2] == p.GEOM_MESH and bool(np.allclose(shapes[0][5], frame[0]))
 
     def hidden(self) -> int:
         """The visual shape that shows nothing: without one the engine would draw the collision shape."""

@@ -52,6 +52,11 @@ class Spin:
         if body in self._all:
             self._all[body] = _Spinner(self._all[body].body, angular)
 
+    @property
+    def moving(self) -> set[int]:
+        """The ids of those that do not lie still."""
+        return {key for key, spinner in self._all.items() if not spinner.still}
+
     def hold(self, dt: float) -> list[tuple[int, Motion]]:
         """After a step: give what spins fast the angular momentum that the step should have left it, and no more
         energy than it had; contacts' part in both is kept. Returns the motions that it gave."""
@@ -76,7 +81,9 @@ class Spin:
                 spinner.still = square + abs(linear[0]) + abs(linear[1]) + abs(linear[2]) < STILL
                 continue
             now = np.array(angular)
-            if np.isfinite(now).all():
+            if not engine.is_marked(key, spinner.body.token):  # removed, and its id somebody else's
+                del self._all[key]
+            elif np.isfinite(now).all():
                 held.append((spinner, np.array(linear), now, rotation_of(engine.placement(key)[1])))
         if not held:
             return []

@@ -82,8 +82,8 @@ def undone(
 
 def hand_over(
     engine: Engine, tie: tuple[int, Sequence[Any]], parent: Body, pieces: Sequence[Body], parts: Sequence[Parts]
-) -> None:
-    """Give a constraint on a body to the piece that has the convex part nearest to where it holds."""
+) -> int:
+    """Give a constraint on a body to the piece that has the convex part nearest to where it holds -> its new id."""
     constraint, info = tie
     side = 0 if info[0] == parent.id else 1
     pivot = parent.center + parent.axes @ np.array(info[6 + side])  # asset frame
@@ -98,7 +98,7 @@ def hand_over(
     changed[6 + side] = (piece.axes.T @ (pivot - piece.center)).tolist()
     changed[8 + side] = turn.as_quat().tolist()
     engine.untie(constraint)
-    engine.tie(changed)
+    return engine.tie(changed)
 
 
 def cool(engine: Engine, pieces: Sequence[Body], demand: float) -> tuple[float, list[Motion]]:

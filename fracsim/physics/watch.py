@@ -45,15 +45,17 @@ class Watched:
     slack: float = 0.0  # m that it may move before its box is made anew
     until: int = 0  # the step up to which it is left alone
     asleep: bool = False  # whether that is because it lies still
-    since: int = 0  # the step from which it does
+    since: int = 0  # the step from which it is left alone
     calm: int = 0
     tried: int = 0  # the step at which it last asked for free flight
     foreign: bool = False  # whether something that moves was near at the last look
+    touched: bool = False  # and pushed on it
     pressed: int = 0  # steps for which more than a bearable force has
     loaded: bool = False  # whether that has lasted and is to be judged now
     lightest: Contacts | None = None  # of the last few of these
     hits: list[tuple[float, ContactImpulse]] = field(default_factory=list)  # of the last CHAIN seconds
     damage: float = 0.0
+    tired: tuple[float, float] = (-1.0, 0.0)  # when a blow last added to it, and what it was before
     immune: frozenset[int] = frozenset()  # bodies that cannot break it
     immune_until: float = 0.0
 
@@ -65,6 +67,7 @@ class Watch:
         self.engine = engine
         self.records: dict[int, Watched] = {}
         self.own: dict[int, str] = {}  # every body that the world made, breakable or not, and its mark
+        self.loose: set[int] = set()  # those of them that move and are not watched
         self.contacts: dict[int, Contacts | None] = {}  # asked for since the last step
         self.loaded = False  # whether anything is pressed
         self._awake: list[Watched] = []
@@ -72,7 +75,7 @@ class Watch:
         self._box: tuple[Triple, Triple] | None = None
         self._seen: tuple[tuple[int, int], ...] = ()
         self._moving = False  # whether something foreign that may move is in the box
-        self._static: dict[int, bool] = {}
+        self._boxes: dict[tuple[int, int], tuple[Triple, Triple]] = {}  # of what moves in it
         self._planes: dict[int, Any] = {}
         self._before: dict[tuple[int, int], Motion] = {}  # of what is foreign and near, before the last step
         self._now: dict[tuple[int, int], Motion] = {}
@@ -80,6 +83,7 @@ class Watch:
         self._rates_now: dict[int, tuple[tuple[float, ...], ...]] = {}
         self._tied: list[int] = []  # foreign bodies that constraints join to some of these
         self._census = (0, -1)
+        self._last = (-1, "")  # the last body of it, and its mark
         self._foreign: frozenset[int] = frozenset()  # whatever else may move
         self._steps = 0
         self._turn = 0
@@ -116,6 +120,11 @@ class Watch:
         if look:
             self._called.append(record)
 
+    def wake_all(self) -> None:
+        """As ``wake``, of every body: somebody changed the clock, or put back a saved state."""
+        for record in tuple(self._left):
+            self.wake(record)
+
     def _refresh(self, record: Watched) -> None:
         record.motion = self.engine.motion(record.body.id)
         record.before = None
@@ -137,51 +146,66 @@ class Watch:
         if self._called:
             for record in self._called:
                 record.before = None
-                if record not in suspects and record.body.id in self.records:
+                if record not in suspects and self.records.get(record.body.id) is record:
                     suspects.append(record)
             self._called.clear()
-        turn = self._steps % EVERY
+        steps = self._steps
         census = engine.census()
-        if turn == 0 or census != self._census:
-            if census != self._census:
-                self._census = census
-                for record in tuple(self._left):  # what they lay on may be gone
-                    if record.asleep:
-                        self.wake(record)
+        if census != self._census or (steps & 3 == 2 and not engine.is_marked(*self._last)):
+            self._census = census
+            for record in tuple(self._left):  # what they lay on may be gone
+                if record.asleep:
+                    self.wake(record)
             self._recount()
-        if turn == 0:
+        elif steps % EVERY == 0:
+            self._recount()
+        if steps % EVERY == EVERY // 2:
             self._inspect()
-        elif turn & 3 == 1 and self._left:
-            self._check(least)
-        if self._due <= self._steps:
+        if steps & 3 == 0 and self._left:
+            self._check(suspects, dt, gravity, least)
+        if self._due <= steps:
             self._due = NEVER
             for record in tuple(self._left):
-                if record.until <= self._steps and not (record.asleep and self._lies(record)):
+                if record.until <= steps and not (record.asleep and self._lies(record)):
                     self.wake(record)
                 else:
                     self._due = min(self._due, record.until)
-        if self._foreign:
+        if self._foreign or self.loose:
             box = self._box or self._enclose(dt)
             seen = engine.near(*box)
-            if seen != self._seen:
+            if seen != self._seen or self.loose:
                 self._seen = seen
-                self._moving = not self._foreign.isdisjoint([body for body, _ in seen])
+                self._moving = any(self._moves(body) for body, _ in seen)
+        else:
+            self._moving = False
         if self._moving or self._tied:
-            self._meet(suspects, least)
+            self._meet(suspects, dt, least)
         elif self._now or self._before:
             self._before, self._now, self._rates, self._rates_now = self._now, {}, self._rates_now, {}
         return suspects
 
     def _recount(self) -> None:
         """Find out anew what there is besides; ids of removed bodies are handed out again."""
-        self._static.clear()
+        engine = self.engine
         self._planes.clear()
-        self.engine.forget()
-        self.own = {body: mark for body, mark in self.own.items() if self.engine.is_marked(body, mark)}
+        engine.forget()
+        self.own = {body: mark for body, mark in self.own.items() if engine.is_marked(body, mark)}
         self._seen = ()
-        self._foreign = frozenset(body for body in self.engine.bodies() if not self._is_quiet(body))
+        self._foreign = frozenset(
+            body for body in engine.bodies() if body not in self.own and not engine.is_static(body)
+        )
         self._moving = False
-        self._tied = self.engine.tied(self.records)
+        self._tied = engine.tied(self.records)
+        # Another body in the last one's place would leave the census as it is.
+        last = self._census[1]
+        if last in self.own:
+            self._last = last, self.own[last]
+        elif last >= 0 and not (self._last[0] == last and engine.is_marked(*self._last)):
+            self._last = last, engine.mark(last)
+
+    def _moves(self, body: int) -> bool:
+        """Whether a body is one that moves and is not watched."""
+        return body in self._foreign or body in self.loose
 
     def _poll(self, suspects: list[Watched], dt: float, gravity: Triple, least: float) -> None:
         motion_of = self.engine.motion
@@ -230,15 +254,16 @@ class Watch:
         margin = SPEED * dt + 0.01 * record.reach
         record.slack = 0.5 * margin
         reach = record.reach + 2 * margin
-        x, y, z = record.center
+        x, y, z = record.center = list(self.engine.placement(record.body.id)[0])
         record.low, record.high = (x - reach, y - reach, z - reach), (x + reach, y + reach, z + reach)
         self._box = None
 
     def _leave(self, record: Watched, until: int, dt: float) -> None:
         self._awake.remove(record)
         self._left.append(record)
+        record.since = self._steps
         if until == NEVER:
-            record.asleep, record.since = True, self._steps
+            record.asleep = True
             self._box_of(record, dt)
             speed = max(map(abs, record.motion[0]))
             if speed > 1e-9:  # it creeps
@@ -251,6 +276,7 @@ class Watch:
         record.tried = self._steps
         time = (AHEAD + 2) * dt
         margin = SPEED * dt + record.reach
+        record.center = list(self.engine.placement(record.body.id)[0])
         low, high = [], []
         for x, v, g in zip(record.center, record.motion[0], gravity, strict=True):
             # The way there and back is at most what speed and fall add up to.
@@ -259,6 +285,9 @@ class Watch:
             low.append(x + min(0.0, end, turn) - margin)
             high.append(x + max(0.0, end, turn) + margin)
         corners = (low[0], low[1], low[2]), (high[0], high[1], high[2])
+        for other in self._left:  # what flies may be anywhere on its way
+            if all(a <= d and c <= b for a, b, c, d in zip(low, high, other.low, other.high, strict=True)):
+                return False
         for body, _ in self.engine.near(*corners):
             if body != record.body.id and not self._is_clear(body, low, high):
                 return False
@@ -268,7 +297,7 @@ class Watch:
 
     def _is_clear(self, body: int, low: list[float], high: list[float]) -> bool:
         """Whether a body that meets a box by its bounding box is an infinite plane that does not."""
-        if not self._is_quiet(body) or body in self.own:
+        if body in self.own or body in self._foreign:
             return False
         if body not in self._planes:
             self._planes[body] = self.engine.plane(body)
@@ -288,15 +317,27 @@ class Watch:
         record.until = self._steps + max(CALM, 2 * (self._steps - record.since))
         return moved < 0.25 * record.slack
 
-    def _check(self, least: float) -> None:
-        """Whether one of those asleep, each in its turn, still is."""
-        self._turn += 1
-        record = self._left[self._turn % len(self._left)]
-        try:
-            if record.asleep and not is_slow(self.engine.motion(record.body.id), least, record.reach):
-                self.wake(record)
-        except Gone:
-            self.drop(record.body.id)
+    def _check(self, suspects: list[Watched], dt: float, gravity: Triple, least: float) -> None:
+        """Whether those left alone are as they were left: somebody may have moved them."""
+        engine = self.engine
+        for record in tuple(self._left):
+            body, motion = record.body.id, record.motion
+            try:
+                if record.asleep:
+                    if not self._steps & 7 and not is_slow(engine.motion(body), least, record.reach):
+                        self.wake(record)
+                    continue
+                time = (self._steps - record.since) * dt
+                rest = 0.5 * time * (time + dt)
+                off = max(
+                    abs(x - c - v * time - g * rest)
+                    for x, c, v, g in zip(engine.placement(body)[0], record.center, motion[0], gravity, strict=True)
+                )
+                if off > 0.05 * record.reach + record.damping[0] * time * time * max(map(abs, motion[0])):
+                    self.wake(record)
+                    suspects.append(record)
+            except Gone:
+                self.drop(body)
 
     def _inspect(self) -> None:
         """The forces on one of the bodies, each in its turn: a load moves nothing."""
@@ -318,23 +359,15 @@ class Watch:
         self._box = (low[0], low[1], low[2]), (high[0], high[1], high[2])
         return self._box
 
-    def _is_quiet(self, body: int) -> bool:
-        """Whether a body is one of the world's own or cannot move."""
-        if body in self.own:
-            return True
-        static = self._static.get(body)
-        if static is None:
-            static = self._static[body] = self.engine.is_static(body)
-        return static
-
-    def _meet(self, suspects: list[Watched], least: float) -> None:
+    def _meet(self, suspects: list[Watched], dt: float, least: float) -> None:
         """What moves near whom: its motion is kept for the step to come, and those it pushes on are looked at."""
         engine = self.engine
         near: set[tuple[int, int]] = {(body, -1) for body in self._tied}
+        beside = self._beside(dt) if self._moving else {}
         for record in (*self._awake, *self._left):
-            foreign = [key for key in engine.near(record.low, record.high) if not self._is_quiet(key[0])]
-            record.foreign = bool(foreign)
-            if not foreign:
+            foreign = beside.get(record.body.id)
+            record.foreign = foreign is not None
+            if foreign is None:
                 continue
             slow = False
             if record.until:
@@ -342,12 +375,16 @@ class Watch:
                 self.wake(record)
                 slow = asleep and is_slow(was, least, record.reach)
             near.update(foreign)
-            contacts = self.touching(record.body.id)
-            if contacts is None or record in suspects:
+            if record in suspects:
                 continue
-            if not record.pressed and contacts.forces.sum() > record.bearable:
+            contacts = self.touching(record.body.id) if self._is_touched(record, foreign) else None
+            if contacts is None:
+                record.touched = False
+                continue
+            if not record.pressed and contacts.force > record.bearable:
                 self._press(record)
-            pushing = [key for key in set(contacts.others) if not self._is_quiet(key[0])]
+            pushing = [key for key in set(contacts.others) if self._moves(key[0])]
+            record.touched = bool(pushing)
             if record.before is not None:
                 slow = is_slow(record.before, least, record.reach)
             for key in pushing:
@@ -356,10 +393,65 @@ class Watch:
                     suspects.append(record)
                     break
         self._before, self._rates = self._now, self._rates_now
-        self._now = {key: engine.link_motion(*key) for key in near}
-        bodies = {body for body, _ in near}
-        self._now |= {(body, -1): engine.motion(body) for body in bodies if (body, -1) not in self._now}
-        self._rates_now = {body: engine.joint_rates(body) for body in bodies}
+        self._now = engine.motions(near)
+        self._rates_now = {body: engine.joint_rates(body) for body, link in self._now if link < 0}
+
+    def _beside(self, dt: float) -> dict[int, list[tuple[int, int]]]:
+        """(body, link) of what moves so near to each body that it may have touched it in the last step, or will in the
+        next."""
+        movers = [key for key in self._seen if self._moves(key[0])]
+        records = self.records.values()
+        if len(movers) <= len(records):
+            old = self._boxes
+            boxes = self._boxes = {key: self.engine.box(*key) for key in movers}
+            steps = [_step(old[key], box) if key in old else SPEED for key, box in boxes.items()]
+            if max(steps) < SPEED * dt:
+                return self._by_boxes(boxes, steps, dt)
+        found: dict[int, list[tuple[int, int]]] = {}
+        for record in records:
+            foreign = [key for key in self.engine.near(record.low, record.high) if self._moves(key[0])]
+            if foreign:
+                found[record.body.id] = foreign
+        return found
+
+    def _by_boxes(
+        self, boxes: dict[tuple[int, int], tuple[Triple, Triple]], steps: list[float], dt: float
+    ) -> dict[int, list[tuple[int, int]]]:
+        """The same, where all that moves was seen before and is slow; then where it is now tells more than the broad
+        phase, which is a step behind and knows no distances. boxes: where it is; steps: m, how far it went."""
+        movers = []
+        for (key, (low, high)), step in zip(boxes.items(), steps, strict=True):
+            s = 1.5 * step
+            movers.append((key, low[0] - s, low[1] - s, low[2] - s, high[0] + s, high[1] + s, high[2] + s))
+        _, *lows_and_highs = zip(*movers, strict=True)
+        west, south, down = map(min, lows_and_highs[:3])
+        east, north, up = map(max, lows_and_highs[3:])
+        found: dict[int, list[tuple[int, int]]] = {}
+        for record in self.records.values():
+            if record.until and not record.asleep:
+                (a, b, c), (d, e, f) = record.low, record.high
+            else:
+                x, y, z = record.center
+                reach = 1.01 * record.reach + 0.2 * SPEED * dt
+                if not record.asleep:
+                    reach += max(map(abs, record.motion[0])) * dt
+                a, b, c, d, e, f = x - reach, y - reach, z - reach, x + reach, y + reach, z + reach
+            if d < west or a > east or e < south or b > north or f < down or c > up:
+                continue
+            near = [
+                key for key, u, v, w, x, y, z in movers if a <= x and d >= u and b <= y and e >= v and c <= z and f >= w
+            ]
+            if near:
+                found[record.body.id] = near
+        return found
+
+    def _is_touched(self, record: Watched, foreign: list[tuple[int, int]]) -> bool:
+        """Whether all contacts of a body are worth asking for: one thing alone near it mostly does not touch it. What
+        presses on it through others is seen every few steps."""
+        others = {body for body, _ in foreign}
+        if record.touched or len(others) > 1 or not (self._steps + record.body.id) & 3:
+            return True
+        return self.engine.touch(record.body.id, others.pop())
 
     def touching(self, body: int) -> Contacts | None:
         """The contacts of a body in the last step."""
@@ -371,7 +463,7 @@ class Watch:
         """Count the steps for which more than a bearable force has pressed on a body."""
         contacts = self.touching(record.body.id)
         slow = is_slow(record.motion, 0.4, record.reach)
-        if contacts is None or not slow or contacts.forces.sum() <= record.bearable:
+        if contacts is None or not slow or contacts.force <= record.bearable:
             record.pressed, record.lightest = 0, None
             return
         if record.until:
@@ -380,7 +472,7 @@ class Watch:
         self.loaded = True
         if record.pressed % EVERY == 1:
             record.lightest = None
-        if record.lightest is None or contacts.forces.sum() < record.lightest.forces.sum():
+        if record.lightest is None or contacts.force < record.lightest.force:
             record.lightest = contacts
 
     def pressed(self) -> list[Watched]:
@@ -420,3 +512,10 @@ class Watch:
         """A body was given another velocity after the last step."""
         if body in self.records:
             self.records[body].motion = motion
+
+
+def _step(old: tuple[Triple, Triple], new: tuple[Triple, Triple]) -> float:
+    """How far a box has moved."""
+    (a, b, c), (d, e, f) = old
+    (u, v, w), (x, y, z) = new
+    return max(u - a, a - u, v - b, b - v, w - c, c - w, x - d, d - x, y - e, e - y, z - f, f - z)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FracsimError, PhysicsError
+from ..errors import PhysicsError
 from ..impulse import Impulse, as_impulses
 from .bodies import GLAZE, SHARDS, Body, Pose, quaternion_of, spawn
 from .contacts import CHAIN, LOAD, ContactImpulse, gate, loads, predict
@@ -22,7 +22,7 @@ from .swap import COOLING, Cooling, CrackEnergy, Touch, cool, hand_over, island,
 from .watch import Watch, Watched
 
 if TYPE_CHECKING:
-    from ..asset import BreakableAsset, Fracture
+    from ..asset import BreakableAsset, Fracture, Fragment
     from ..pieces import Piece
 
 FloatArray = npt.NDArray[np.float64]
@@ -40,11 +40,13 @@ class FractureEvent:
     """A body that broke, or held when it was told to break.
 
     parent: its id, gone from the engine unless `children` is empty.
-    children: the ids of the pieces, in the order of fracture.pieces; () when it did not break.
+    children: the ids of the pieces, in the order of fracture.pieces; () when it did not break. A ``budget`` may have
+    removed some again.
     impulses: what it was hit with, in the asset's frame, strongest first.
     fracture: the model's answer, whole when it had none that made sense. time: s, simulated by this world.
     timings: ms of each stage: impulse (contacts to impulses), fracture (model to pieces), bodies (the swap).
     energy: what its cracks take and have taken so far. generation: 0 for a body that was added, 1 for its pieces.
+    constraints: those that held it, by their ids before and now that they hold pieces.
     """
 
     parent: int
@@ -55,6 +57,7 @@ class FractureEvent:
     timings: dict[str, float]
     energy: CrackEnergy = field(default_factory=lambda: CrackEnergy(0.0))
     generation: int = 0
+    constraints: dict[int, int] = field(default_factory=dict)
 
     @property
     def impulse(self) -> Impulse:
@@ -111,7 +114,7 @@ class World:
         refine_after: float = 0.5,
     ) -> None:
         self._engine = Engine(client)
-        self.client = client
+        self.client = self._engine.client
         self.visuals = self._engine.has_window if visuals is None else visuals
         self.generations = int(_at_least(generations, 1, "generations"))
         self.smallest = _at_least(smallest, 0.0, "smallest")
@@ -131,7 +134,8 @@ class World:
         self._callbacks: list[ContactCallback] = []
         self._cooling: list[Cooling] = []
         self._told: frozenset[tuple[int, int]] = frozenset()  # hits that are relived in the step to come
-        self._warned: set[str] = set()
+        self._warned: set[tuple[str, str]] = set()
+        self._renamed: dict[int, int] = {}  # constraints handed over
         self._dt, self._gravity = self._engine.clock()
         self._least = gate(self._dt, self._gravity)
         self._time, self._steps = 0.0, 0  # s, and the steps since
@@ -175,6 +179,8 @@ class World:
         the engine does not tell; friction and restitution they take from the body as it is when it breaks.
         """
         self._engine.require_connection()
+        if not hasattr(asset, "scaled"):
+            raise PhysicsError(f"add takes an asset, as fracsim.load gives it, not {asset!r}")
         if not _is_number(scale) or scale <= 0.0:
             raise PhysicsError(f"scale must be a positive number, got {scale!r}")
         if scale != 1.0:
@@ -198,14 +204,17 @@ class World:
             linear_damping=damping[0],
             angular_damping=damping[1],
         )
-        asset.prepare()
+        try:
+            asset.prepare()
+        except Exception as error:  # the same as when it is to break
+            self._warn(asset, error)
         [body] = spawn(self._engine, [asset], pose, surface, [GLAZE] if self.visuals else None)
+        self._forget(body.id)  # what somebody removed, and whose id this is now
         self._watch.add(Watched(body, asset, damping, asset.reach, asset.bearable_impulse / LOAD))
         return body.id
 
     def remove(self, body: int) -> None:
         """Remove a breakable body or a piece that this world made."""
-        self._engine.require_connection()
         self._find(body)
         self._engine.remove(body)
         self._forget(body)
@@ -223,13 +232,25 @@ class World:
         pose = self._find(body).pose_now(self._engine)
         return pose.position, quaternion_of(pose.rotation)
 
-    def wake(self, body: int) -> None:
-        """Look at a body in the next step whatever it does. A world leaves bodies alone that lie still or fly where
-        nothing is, and knows the motion of others from its own last step: call this after giving one that touches
-        something a velocity, or one that lies still a push, that should tell in that very step."""
-        self._find(body)
-        if body in self._watch.records:
-            self._watch.wake(self._watch.records[body], look=True)
+    def wake(self, body: int | None = None) -> None:
+        """Look at a body, or at all of them, in the next step whatever they do.
+
+        A world leaves bodies alone that lie still or fly where nothing is, and knows the motion of others from its own
+        last step. Call this after what it cannot foresee and should tell at once: a velocity or a pose given to a body,
+        a saved state put back. Without it that is noticed some steps later.
+        """
+        self._forget_removed()
+        bodies = self._watch.records if body is None else [self._find(body).id]
+        for one in tuple(bodies):
+            if one in self._watch.records:
+                self._watch.wake(self._watch.records[one], look=True)
+
+    def constraint(self, constraint: int) -> int:
+        """The id by which a constraint goes now. What held a body that broke holds one of its pieces, and the engine
+        gives that another id; it is its own as long as nothing of the sort has happened."""
+        while constraint in self._renamed:
+            constraint = self._renamed[constraint]
+        return constraint
 
     def on_contact(self, callback: ContactCallback) -> Callable[[], None]:
         """Call back with each hit on a breakable body, before it breaks -> a function that ends it.
@@ -265,6 +286,7 @@ class World:
         if self._pieces:  # last, as what was before the step follows from how it left things
             for body, motion in self._spin.hold(self._dt):
                 watch.changed(body, motion)
+            watch.loose = self._spin.moving - watch.records.keys()
             if self._cooling:
                 self._cool()
             if self._refining:
@@ -294,8 +316,11 @@ class World:
         """The time step and gravity, which somebody may have changed. Asking every time would cost a tenth of what
         the watching does."""
         self._time, self._steps = self.time, 0
+        known = self._dt, self._gravity
         self._dt, self._gravity = self._engine.clock()
-        self._least = gate(self._dt, self._gravity)
+        if (self._dt, self._gravity) != known:
+            self._least = gate(self._dt, self._gravity)
+            self._watch.wake_all()
 
     def fracture(self, body: int, impulse: Impulse | Sequence[Impulse]) -> FractureEvent:
         """Break a body or a piece on command, with impulses in its asset's frame -> the event; children () if it held.
@@ -349,8 +374,10 @@ class World:
                 for hit in hits:
                     if (hit.body, hit.other) not in told:
                         callback(hit)
-        if self._callbacks:
+        if self._callbacks:  # which may have removed bodies, and made others of the same ids
             self._forget_removed()
+            self._touches = None
+            self._motions.clear()
         breaks = []
         for record, hits, elapsed in struck:
             if self._watch.records.get(record.body.id) is record:
@@ -377,7 +404,7 @@ class World:
         """Whether the hits, one after the other and with those just before, break the body."""
         target = record.target
         record.hits = earlier = [(when, hit) for when, hit in record.hits if when > self.time - CHAIN]
-        together = 0.0
+        strongest = 0.0  # of those that come together and are no repetitions
         start = perf_counter()
         for k, hit in enumerate(hits):
             when = self.time + hit.delay
@@ -388,17 +415,14 @@ class World:
                 and np.linalg.norm(old.impulse.point - hit.impulse.point) < _SAME_PLACE * target.size
                 and old.impulse.direction @ hit.impulse.direction > 0.8
             ]
-            if any(old.impulse.magnitude >= hit.impulse.magnitude for old in same):
+            if not any(old.impulse.magnitude >= hit.impulse.magnitude for old in same):
+                record.hits = [entry for entry in record.hits if entry[1] not in same] + [(when, hit)]
+                strongest = max(strongest, hit.impulse.magnitude)
+            if (k + 1 < len(hits) and hits[k + 1].delay == hit.delay) or strongest == 0.0:
                 continue
-            record.hits = [entry for entry in record.hits if entry[1] not in same] + [(when, hit)]
-            together = max(together, hit.impulse.magnitude)
-            if k + 1 < len(hits) and hits[k + 1].delay == hit.delay:
-                continue
-            if together == 0.0:
-                continue
+            strongest = 0.0
             acting = sorted((one.impulse for _, one in record.hits), key=lambda one: -one.magnitude)
             impulses = tuple(self._worn(record, acting))
-            together = 0.0
             if not target.may_break(impulses):
                 continue
             fracture = self._ask(record, impulses)
@@ -418,7 +442,7 @@ class World:
 
     def _tire(self, record: Watched) -> None:
         """Add what the hits of this step that broke nothing did (Miner's rule), once each."""
-        impulses = [hit.impulse for when, hit in record.hits if when >= self.time]
+        impulses = [hit.impulse for when, hit in record.hits if when >= self.time and not hit.sustained]
         if not impulses or self.fatigue is None:
             return
         low, high = 1.0, 1.0
@@ -427,6 +451,7 @@ class World:
         for _ in range(5):
             middle = (low * high) ** 0.5
             low, high = (low, middle) if self._breaks(record, impulses, middle) else (middle, high)
+        record.tired = self.time, record.damage
         record.damage = min(1.0, record.damage + high**-self.fatigue)
 
     def _breaks(self, record: Watched, impulses: Sequence[Impulse], factor: float) -> bool:
@@ -440,12 +465,16 @@ class World:
         """The model's answer; None, and one warning for each model, when it has none that makes sense."""
         try:
             return record.target.fracture(impulses)
-        except (FracsimError, ValueError, IndexError, ArithmeticError) as error:
-            name = record.target.name
-            if name not in self._warned:
-                self._warned.add(name)
-                warnings.warn(f"{name} does not break: its model failed ({error})", RuntimeWarning, stacklevel=4)
+        except Exception as error:  # whatever somebody's model raises
+            self._warn(record.target, error)
             return None
+
+    def _warn(self, target: BreakableAsset | Fragment, error: Exception) -> None:
+        """Say once of a model that it fails."""
+        what = target.name, f"{type(error).__name__}: {error}"
+        if what not in self._warned:
+            self._warned.add(what)
+            warnings.warn(f"{what[0]} does not break: its model failed ({what[1]})", RuntimeWarning, stacklevel=5)
 
     # How things moved before the step
 
@@ -473,9 +502,12 @@ class World:
         )
         if kept is None:
             return told
-        off = max(abs(a - b) for a, b in zip(told[0], kept[0], strict=True))
-        speed = max(abs(a) for a in told[0])
-        return told if off > 0.02 * self._least + 1e-3 * speed else kept
+        known = self._watch.records.get(body)
+        for new, old, arm in zip(told, kept, (1.0, 0.1 if known is None else known.reach), strict=True):
+            off = arm * max(abs(a - b) for a, b in zip(new, old, strict=True))
+            if off > 0.02 * self._least + 1e-3 * arm * max(map(abs, new)):
+                return told
+        return kept
 
     def _all_touches(self) -> list[Touch]:
         if self._touches is None:
@@ -509,6 +541,8 @@ class World:
             if record is not None:
                 told |= {(body, hit.other) for when, hit in record.hits if when >= self.time}
                 record.hits = [entry for entry in record.hits if entry[0] < self.time]
+                if record.tired[0] >= self.time:
+                    record.damage = record.tired[1]
         self._told = frozenset(told)
         rewinding = 1e3 * (perf_counter() - start)
         events = []
@@ -529,9 +563,11 @@ class World:
         solids, asset = fracture.pieces, getattr(record.target, "asset", record.target)
         if self.decomposition == "coacd":
             solids = with_parts(asset, solids, decomposed(*task(asset, solids)))
-        pieces = spawn(engine, solids, pose, surface, SHARDS if self.visuals else None)
-        for tie in ties:
-            hand_over(engine, tie, parent, pieces, [piece.parts for piece in solids])
+        # Somebody may have given the body another mass; a static one's pieces have what its material makes them.
+        heavier = (engine.mass(parent.id) or parent.mass) / parent.mass
+        pieces = spawn(engine, solids, pose, surface, SHARDS if self.visuals else None, heavier)
+        parts = [piece.parts for piece in solids]
+        renamed = {tie[0]: self._rename(tie[0], hand_over(engine, tie, parent, pieces, parts)) for tie in ties}
         engine.remove(parent.id)  # after the pieces, so that none of them gets its id
         self._watch.drop(parent.id)
         self._watch.own.pop(parent.id, None)
@@ -539,6 +575,7 @@ class World:
         immune = what.others | frozenset(children)
         generation = record.generation + 1
         for piece, solid in zip(pieces, fracture.pieces, strict=True):
+            self._forget(piece.id)
             self._pieces[piece.id] = piece
             self._damping[piece.id] = record.damping
             self._watch.own[piece.id] = piece.token
@@ -550,6 +587,7 @@ class World:
                     watched.immune, watched.immune_until = immune, self.time + _AFTER
                     self._watch.add(watched)
         self._pieces.pop(parent.id, None)
+        self._damping.pop(parent.id, None)
         if self.decomposition == "background":
             self._refining.append(Refinement.begun(asset, solids, pieces, self.time + self.refine_after))
         self._spin.drop(parent.id)
@@ -559,13 +597,22 @@ class World:
         timings = what.timings
         timings["bodies"] += 1e3 * (perf_counter() - start)
         return FractureEvent(
-            parent.id, children, what.impulses, fracture, self.time, timings, energy, record.generation
+            parent.id, children, what.impulses, fracture, self.time, timings, energy, record.generation, renamed
         )
+
+    def _rename(self, constraint: int, new: int) -> int:
+        self._renamed.pop(new, None)  # of before a reset
+        self._renamed[constraint] = new
+        return new
 
     def _cool(self) -> None:
         """Let cracks take their energy from how their pieces have come to move."""
         for one in tuple(self._cooling):
-            one.pieces = [piece for piece in one.pieces if self._pieces.get(piece.id) is piece]  # ids come again
+            one.pieces = [
+                piece
+                for piece in one.pieces  # ids come again
+                if self._pieces.get(piece.id) is piece and self._engine.is_marked(piece.id, piece.token)
+            ]
             demand = one.energy.demand - one.energy.taken
             if self.time > one.until or demand <= 0.0 or len(one.pieces) < 2:
                 self._cooling.remove(one)
@@ -605,9 +652,11 @@ class World:
         [body] = spawn(engine, [solid], pose, surface, colors)
         if body.id != old.id:  # the engine hands out the id that was freed last
             raise PhysicsError(f"piece {old.id} came back as {body.id}; use decomposition='baked'")
-        for _, info in ties:
-            engine.tie(info)
+        for constraint, info in ties:
+            self._rename(constraint, engine.tie(info))
         self._pieces[body.id] = body
+        for cooling in self._cooling:
+            cooling.pieces = [body if piece is old else piece for piece in cooling.pieces]
         self._watch.own[body.id] = body.token
         self._spin.add([body], motion[1])
         record = self._watch.records.get(body.id)
@@ -637,7 +686,9 @@ class World:
             return self._watch.records[body].body
         if body in self._pieces:
             return self._pieces[body]
-        raise PhysicsError(f"body {body} is not in this world; it has {[*self._watch.records, *self._pieces]}")
+        raise PhysicsError(
+            f"body {body} is not in this world; it has {sorted({*self._watch.records, *self._pieces}) or 'none'}"
+        )
 
     def _forget(self, body: int) -> None:
         self._watch.drop(body)
@@ -648,6 +699,7 @@ class World:
 
     def _forget_removed(self) -> None:
         """Drop the records of bodies that somebody else took out of the engine."""
+        self._engine.require_connection()
         bodies = {body: record.body for body, record in self._watch.records.items()} | self._pieces
         for body, known in bodies.items():
             if not self._engine.is_marked(body, known.token):
