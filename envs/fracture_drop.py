@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -27,6 +28,7 @@ FORCE, TORQUE = 0.5, 0.1  # the action's limits, of m g and of m g size
 AFTERMATH, REST = 0.5, 0.25  # s, after the break and at rest, before an episode ends
 STILL = (0.05, 0.5)  # m/s and rad/s: slower is at rest
 SPAN = 100.0  # m and m/s, clips the observation
+LONGEST = 1.0  # s, of an action; no image a second is no rate
 
 
 class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
@@ -110,16 +112,22 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
             raise FracsimError(f"unknown goal {goal!r}; use one of {', '.join(GOALS)}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise RenderError(f"unknown render_mode {render_mode!r}; use None, 'rgb_array' or 'human'")
-        for name, value in (("size", size), ("time_step", time_step), ("frame_skip", frame_skip)):
-            _positive(value, name)
+        size, time_step = _positive(size, "size"), _positive(time_step, "time_step")
+        self.goal, self.frame_skip = goal, _whole(frame_skip, "frame_skip")
+        self.drop_height = _positive(drop_height, "drop_height")
+        self.render_mode, self.width, self.height = render_mode, _whole(width, "width"), _whole(height, "height")
+        action = time_step * self.frame_skip
+        if action > LONGEST:
+            raise FracsimError(
+                f"an action would last {action:g} s; lower frame_skip or time_step to {LONGEST:g} s or less"
+            )
+        self.metadata = {**self.metadata, "render_fps": round(1 / action)}
+        if not (isinstance(mesh, (str, os.PathLike)) or hasattr(mesh, "scaled")):
+            raise FracsimError(f"mesh must be an asset's name, a path or a BreakableAsset, got {mesh!r}")
         asset = fracsim.load(mesh) if isinstance(mesh, (str, os.PathLike)) else mesh
         if material is not None:
             asset = asset.with_material(material)
         self.asset = asset.scaled(size / asset.size)
-        self.goal, self.frame_skip = goal, max(1, int(frame_skip))
-        self.drop_height = _positive(drop_height, "drop_height")
-        self.render_mode, self.width, self.height = render_mode, width, height
-        self.metadata = {**self.metadata, "render_fps": round(1 / (time_step * self.frame_skip))}
         high = np.repeat([SPAN, 1.0, SPAN, 1000.0, 1000.0, 1.0, 1e4], [3, 4, 3, 3, 1, 1, 1])
         low = np.where(np.arange(16) < 13, -high, np.where(np.arange(16) == 13, 1.0, 0.0))
         self._low, self._high = low.astype(np.float32), high.astype(np.float32)
@@ -127,16 +135,19 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
         self.action_space = spaces.Box(-1.0, 1.0, (6,), np.float32)
         self._scene = Scene(time_step, window=render_mode == "human", show=render_mode is not None)
         self._engine = Engine(self._scene.client)
+        self._running, self._closed = False, False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
+        if self._closed:
+            raise FracsimError("this environment is closed; make another one")
         super().reset(seed=seed)
         options = options or {}
         draw = self.np_random.normal(size=4)
-        orientation = np.asarray(options.get("orientation", draw), dtype=np.float64)
-        if orientation.shape != (4,) or not 0 < np.linalg.norm(orientation) < np.inf:
-            raise FracsimError(f"orientation must be a quaternion (x, y, z, w), got {orientation.tolist()}")
+        orientation = _numbers(options.get("orientation", draw), 4, "orientation, a quaternion (x, y, z, w),")
+        if not 0 < np.linalg.norm(orientation) < np.inf:
+            raise FracsimError(f"orientation must be a rotation, such as (0, 0, 0, 1), got {orientation.tolist()}")
         orientation = orientation / np.linalg.norm(orientation)
         self._fall = _positive(options.get("drop_height", self.drop_height), "drop_height")
         rotation = rotation_of(orientation.tolist())
@@ -152,10 +163,12 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
         self._pieces, self._intact = 1, 1.0
         self._impulse = self._strongest = 0.0
         self._broke_at, self._still_since = np.inf, 0.0
+        self._running = True
         return self._observe(), self._info([], False)
 
     def step(self, action: npt.NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        thrust = np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0)
+        self._require_running()
+        thrust = np.clip(_numbers(action, 6, "an action"), -1.0, 1.0)
         weight = self.asset.mass * GRAVITY
         force, torque = thrust[:3] * FORCE * weight, thrust[3:] * TORQUE * weight * self.asset.size
         pieces, intact = self._pieces, self._intact
@@ -193,12 +206,20 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
     def render(self) -> npt.NDArray[np.uint8] | None:
         if self.render_mode != "rgb_array":
             return None
+        self._require_running()
         reach = self.drop_height + 1.5 * self.asset.size
         eye = (1.1 * reach, -1.3 * reach, 0.45 * reach)
         return self._scene.image(eye, (0.0, 0.0, 0.42 * reach), self.width, self.height)
 
     def close(self) -> None:
+        self._running, self._closed = False, True
         self._scene.close()
+
+    def _require_running(self) -> None:
+        if not self._running:
+            raise FracsimError(
+                "this environment is closed; make another one" if self._closed else "call reset() before anything else"
+            )
 
     def _feel(self, hit: ContactImpulse) -> None:
         self._strongest = self._impulse = max(self._strongest, hit.impulse.magnitude)
@@ -225,6 +246,22 @@ class FractureDropEnv(gym.Env[Observation, npt.NDArray[np.float32]]):
 
 
 def _positive(value: Any, name: str) -> float:
-    if not (np.isfinite(value) and value > 0):
+    if not (isinstance(value, Real) and 0.0 < float(value) < np.inf):
         raise FracsimError(f"{name} must be a positive number, got {value!r}")
     return float(value)
+
+
+def _whole(value: Any, name: str) -> int:
+    if not _positive(value, name).is_integer():
+        raise FracsimError(f"{name} must be a whole number, got {value!r}")
+    return int(value)
+
+
+def _numbers(value: Any, count: int, name: str) -> FloatArray:
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (count,) or np.isnan(vector).any():
+        raise FracsimError(f"{name} must be {count} numbers, got {value}")
+    return vector

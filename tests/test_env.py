@@ -171,17 +171,59 @@ def test_a_window_without_a_display_is_refused_before_it_kills_the_process(monke
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error"),
+    ("arguments", "error", "fault"),
     [
-        ({"goal": "win"}, fracsim.FracsimError),
-        ({"size": 0.0}, fracsim.FracsimError),
-        ({"drop_height": float("nan")}, fracsim.FracsimError),
-        ({"mesh": "no such asset"}, fracsim.AssetError),
+        ({"goal": "win"}, fracsim.FracsimError, "unknown goal"),
+        ({"size": 0.0}, fracsim.FracsimError, "size must be a positive number"),
+        ({"drop_height": float("nan")}, fracsim.FracsimError, "drop_height must be a positive number, got nan"),
+        ({"drop_height": "a"}, fracsim.FracsimError, "drop_height must be a positive number, got 'a'"),
+        ({"time_step": None}, fracsim.FracsimError, "time_step must be a positive number"),
+        ({"frame_skip": 0.5}, fracsim.FracsimError, "frame_skip must be a whole number, got 0.5"),
+        ({"frame_skip": 1000}, fracsim.FracsimError, "would last 4.16667 s; lower frame_skip"),
+        ({"width": 0}, fracsim.FracsimError, "width must be a positive number"),
+        ({"mesh": None}, fracsim.FracsimError, "mesh must be an asset's name, a path or a BreakableAsset, got None"),
+        ({"mesh": "no such asset"}, fracsim.AssetError, "no such asset"),
+        ({"material": "cheese"}, fracsim.MaterialError, "unknown material"),
     ],
 )
-def test_arguments_that_make_no_sense_raise_typed_errors(arguments, error):
-    with pytest.raises(error):
-        gym.make("FractureDrop-v0", **{"mesh": SlabBox(), **arguments})
+def test_arguments_that_make_no_sense_raise_typed_errors(arguments, error, fault):
+    with pytest.raises(error, match=fault):
+        gym.make("FractureDrop-v0", **{"mesh": "chair", **arguments})
+
+
+@pytest.mark.parametrize("action", [np.full(6, np.nan), np.zeros(5), np.zeros((6, 1)), 0.0, "up", None])
+def test_an_action_that_is_not_six_numbers_is_refused_and_changes_nothing(make, action):
+    env, twin = make().unwrapped, make().unwrapped
+    for one in (env, twin):
+        one.reset(seed=4)
+    with pytest.raises(fracsim.FracsimError, match="an action must be 6 numbers"):
+        env.step(action)
+    np.testing.assert_array_equal(env.step(np.ones(6))[0], twin.step(np.ones(6))[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        ({"orientation": (0, 0, 0, 0)}, "orientation must be a rotation"),
+        ({"orientation": "up"}, "orientation, a quaternion"),
+        ({"orientation": (0, 0, 1)}, "orientation, a quaternion"),
+        ({"drop_height": "high"}, "drop_height must be a positive number"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(make, options, fault):
+    with pytest.raises(fracsim.FracsimError, match=fault):
+        make().reset(seed=0, options=options)
+
+
+def test_what_is_done_before_a_reset_or_after_the_close_is_refused_by_name(make):
+    env = make(render_mode="rgb_array").unwrapped
+    with pytest.raises(fracsim.FracsimError, match=r"call reset\(\)"):
+        env.step(np.zeros(6))
+    env.reset(seed=0)
+    env.close()
+    for late in (env.reset, env.render, lambda: env.step(np.zeros(6))):
+        with pytest.raises(fracsim.FracsimError, match="closed; make another"):
+            late()
 
 
 def test_closing_twice_is_fine_and_frees_the_client(make):

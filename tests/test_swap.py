@@ -163,8 +163,7 @@ def test_a_constraint_goes_over_to_the_piece_that_it_holds(client):
 
 
 def test_an_island_is_what_contacts_and_constraints_join_and_ends_at_what_is_static():
-    touch = [(1, 2, None, None, None), (2, 0, None, None, None), (0, 5, None, None, None), (3, 4, None, None, None)]
-    assert island(touch, [(2, 3)], [1], lambda body: body == 0) == [1, 2, 3, 4]
+    assert island([(1, 2), (2, 0), (0, 5), (3, 4), (2, 3)], [1], lambda body: body == 0) == [1, 2, 3, 4]
 
 
 # --- what cracks take

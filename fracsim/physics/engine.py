@@ -13,7 +13,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -77,6 +77,10 @@ class Contacts:
         self.others = tuple((q[2], q[4]) for q in points)
         self.force: float = sum(q[9] for q in points)
 
+    def some(self, chosen: Sequence[int]) -> Contacts:
+        """Only those."""
+        return Contacts([self._points[k] for k in chosen])
+
     # As arrays only once something was hit.
 
     @cached_property
@@ -98,6 +102,16 @@ class Contacts:
     def forces(self) -> FloatArray:
         """(n,) N, normal."""
         return np.array([q[9] for q in self._points])
+
+
+class Touches(NamedTuple):
+    """Contacts between any bodies."""
+
+    bodies: IntArray  # (n, 2)
+    forces: FloatArray  # (n, 3) N on the first, with friction
+    on_first: FloatArray  # (n, 3) m, world
+    on_second: FloatArray  # (n, 3)
+    depths: FloatArray  # (n,) m, how far the two are in each other
 
 
 @dataclass(frozen=True)
@@ -290,17 +304,19 @@ class Engine:
         """Whether the two have a contact, with force or without."""
         return bool(p.getContactPoints(bodyA=body, bodyB=other, physicsClientId=self.client))
 
-    def pairs(self) -> list[tuple[int, int, FloatArray, FloatArray, FloatArray]]:
-        """(a, b, force on a (3,) N, place on a (3,), place on b) of every contact that carried force, with friction.
-
-        Asked for without naming a body, since only then normal and friction are of the same one.
-        """
-        result = []
-        for q in p.getContactPoints(physicsClientId=self.client) or ():
-            if q[9] > 0.0:
-                force = q[9] * np.array(q[7]) + q[10] * np.array(q[11]) + q[12] * np.array(q[13])
-                result.append((q[1], q[2], force, np.array(q[5]), np.array(q[6])))
-        return result
+    def touches(self) -> Touches:
+        """Every contact that carried force."""
+        # Asked for without naming a body, since only then normal and friction are of the same one.
+        points = [q for q in p.getContactPoints(physicsClientId=self.client) or () if q[9] > 0.0]
+        if not points:
+            none = np.zeros((0, 3))
+            return Touches(np.zeros((0, 2), dtype=np.int64), none, none, none, np.zeros(0))
+        _, a, b, _, _, on_a, on_b, normal, gap, push, rub, way, other_rub, other_way = zip(*points, strict=True)
+        force = sum(
+            np.array(size)[:, None] * np.array(along)
+            for size, along in ((push, normal), (rub, way), (other_rub, other_way))
+        )
+        return Touches(np.array([a, b]).T, np.asarray(force), np.array(on_a), np.array(on_b), -np.array(gap))
 
     def constraints(self) -> list[tuple[int, tuple[Any, ...]]]:
         """(id, description) of the constraints between bodies."""

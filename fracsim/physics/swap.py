@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from ..pieces import Parts
 from .bodies import Body, cross
-from .engine import Engine, Motion, Placement, Triple, rotation_of
+from .engine import Engine, Motion, Placement, Touches, Triple, rotation_of
 
 FloatArray = npt.NDArray[np.float64]
-Touch = tuple[int, int, FloatArray, FloatArray, FloatArray]  # as Engine.pairs gives it
 
 COOLING = 0.02  # s after a break within which cracks take their energy
+PARTING = 0.1  # s after it within which pieces get out of each other
 
 
 @dataclass
@@ -41,12 +41,11 @@ class Cooling:
     until: float  # s, of the world's time
 
 
-def island(
-    touches: Iterable[Touch], ties: Iterable[tuple[int, int]], seeds: Iterable[int], is_static: Callable[[int], bool]
-) -> list[int]:
-    """The bodies that contacts with force, or constraints (``ties``), join to the seeds; nothing static joins two."""
+def island(pairs: Iterable[Sequence[int]], seeds: Iterable[int], is_static: Callable[[int], bool]) -> list[int]:
+    """The bodies that pairs of them, by contacts with force or constraints, join to the seeds; nothing static joins
+    two."""
     beside: dict[int, set[int]] = {}
-    for a, b in [*((touch[0], touch[1]) for touch in touches), *ties]:
+    for a, b in pairs:
         beside.setdefault(a, set()).add(b)
         beside.setdefault(b, set()).add(a)
     found = list(dict.fromkeys(seeds))
@@ -59,9 +58,7 @@ def island(
     return found
 
 
-def undone(
-    engine: Engine, body: int, placement: Placement, touches: Iterable[Touch], dt: float, gravity: Triple
-) -> Motion:
+def undone(engine: Engine, body: int, placement: Placement, touches: Touches, dt: float, gravity: Triple) -> Motion:
     """How a free body moved before the last step, from how it moves now and what its contacts did to it.
 
     placement: where it was then. Damping and outside forces of that one step are not undone.
@@ -69,14 +66,16 @@ def undone(
     linear, angular = (np.array(part) for part in engine.motion(body))
     own = engine.rigid(body, -1)
     push, turn = np.zeros(3), np.zeros(3)
-    for a, b, force, on_a, on_b in touches:
-        if body in (a, b):
-            sign, place = (dt, on_a) if body == a else (-dt, on_b)
-            push += sign * force
-            turn += sign * cross(place - placement[0], force)
+    for side, places in enumerate((touches.on_first, touches.on_second)):
+        mine = touches.bodies[:, side] == body
+        forces = (dt, -dt)[side] * touches.forces[mine]
+        push += forces.sum(axis=0)
+        turn += cross(places[mine] - placement[0], forces).sum(axis=0)
     rotation = rotation_of(placement[1])
     linear = linear - push / own.mass - dt * np.array(gravity)
     angular = angular - rotation @ np.divide(rotation.T @ turn, own.moments, out=np.zeros(3), where=own.moments > 0)
+    if np.linalg.norm(angular) * dt > 1.0:  # no step resolves that, and what the engine makes of it tells nothing
+        angular = np.zeros(3)
     return tuple(linear.tolist()), tuple(angular.tolist())
 
 
@@ -101,20 +100,86 @@ def hand_over(
     return engine.tie(changed)
 
 
+@dataclass(frozen=True, eq=False)
+class Rigids:
+    """Mass points that turn: n free rigid bodies at one moment."""
+
+    mass: FloatArray  # (n,) kg
+    place: FloatArray  # (n, 3) m, world
+    inertia: FloatArray  # (n, 3, 3) kg m², world
+    linear: FloatArray  # (n, 3) m/s
+    angular: FloatArray  # (n, 3) rad/s
+
+    @classmethod
+    def now(cls, engine: Engine, bodies: Sequence[Body]) -> Rigids:
+        placements = [engine.placement(body.id) for body in bodies]
+        motions = np.array([engine.motion(body.id) for body in bodies])  # (n, 2, 3)
+        axes = np.array([rotation_of(quaternion) for _, quaternion in placements])
+        inertia = np.einsum("nij,nj,nkj->nik", axes, np.array([body.moments for body in bodies]), axes)
+        mass = np.array([body.mass for body in bodies])
+        return cls(mass, np.array([place for place, _ in placements]), inertia, motions[:, 0], motions[:, 1])
+
+    def energy(self, gravity: Triple) -> float:
+        """J, kinetic and of height."""
+        moving = (self.mass * (self.linear**2).sum(axis=1)).sum()
+        turning = np.einsum("ni,nij,nj->", self.angular, self.inertia, self.angular)
+        return float(0.5 * (moving + turning) - self.mass @ self.place @ np.array(gravity))
+
+
+@dataclass(eq=False)
+class Parting:
+    """New pieces and what their parent touched, until they are apart.
+
+    They may stand in each other by what the gap between convex parts does not cover. The engine turns such depth into
+    speed, and what it makes of energy that way is taken from them again.
+
+    energy: J, that they began the step with. begun_at, until: s, of the world's time.
+    """
+
+    bodies: list[Body]
+    energy: float
+    begun_at: float
+    until: float
+
+    @classmethod
+    def begun(cls, engine: Engine, bodies: list[Body], gravity: Triple, time: float) -> Parting:
+        return cls(bodies, Rigids.now(engine, bodies).energy(gravity), time, time + PARTING)
+
+    def stills(self, engine: Engine, gravity: Triple) -> list[Motion] | None:
+        """After a step: the new motions of the bodies, where they had gained energy; None if they had not.
+
+        Ends the parting where they gained none from one another: none at all, or by being driven by what moves besides.
+        """
+        now = Rigids.now(engine, self.bodies)
+        gained = now.energy(gravity) - self.energy
+        self.energy = min(self.energy, self.energy + gained)
+        if gained <= 1e-9 * abs(self.energy) or not self._stuck(engine, 1e-4 * float(np.ptp(now.place, axis=0).max())):
+            self.until = 0.0
+            return None
+        return cool(engine, self.bodies, gained)[1]
+
+    def _stuck(self, engine: Engine, least: float) -> bool:
+        """Whether two of them stand deeper in each other than that, and nothing besides them moves any."""
+        bodies, stuck = {body.id for body in self.bodies}, False
+        touches = engine.touches()
+        for (a, b), depth in zip(touches.bodies.tolist(), touches.depths.tolist(), strict=True):
+            if a in bodies and b in bodies:
+                stuck |= depth > least
+            elif a in bodies or b in bodies:
+                other = b if a in bodies else a
+                if not engine.is_static(other) or any(map(any, engine.motion(other))):
+                    return False
+        return stuck
+
+
 def cool(engine: Engine, pieces: Sequence[Body], demand: float) -> tuple[float, list[Motion]]:
     """Take up to ``demand`` J from the pieces' motion relative to their common rigid motion -> J taken, new motions.
 
     Common motion is that of one rigid body with the pieces' momentum and angular momentum. What is left over has
     neither, so that scaling it down changes no momentum, and its energy is all that the motion has besides.
     """
-    placements = [engine.placement(piece.id) for piece in pieces]
-    motions = [engine.motion(piece.id) for piece in pieces]
-    mass = np.array([piece.mass for piece in pieces])
-    linear = np.array([motion[0] for motion in motions])
-    angular = np.array([motion[1] for motion in motions])
-    place = np.array([center for center, _ in placements])
-    axes = np.array([rotation_of(quaternion) for _, quaternion in placements])
-    inertia = np.einsum("nij,nj,nkj->nik", axes, np.array([piece.moments for piece in pieces]), axes)
+    now = Rigids.now(engine, pieces)
+    mass, place, inertia, linear, angular = now.mass, now.place, now.inertia, now.linear, now.angular
     arm = place - mass @ place / mass.sum()
     drift = mass @ linear / mass.sum()
     spin = (mass[:, None] * cross(arm, linear)).sum(axis=0) + np.einsum("nij,nj->i", inertia, angular)
@@ -127,7 +192,7 @@ def cool(engine: Engine, pieces: Sequence[Body], demand: float) -> tuple[float, 
     taken = min(demand, energy)
     # Less than rounding leaves of the motion as a whole is no energy to speak of.
     if taken <= 1e-12 * float((mass * (linear**2).sum(axis=1)).sum()) or taken == 0.0:
-        return 0.0, motions
+        return 0.0, [(tuple(v), tuple(w)) for v, w in zip(linear.tolist(), angular.tolist(), strict=True)]
     left = np.sqrt(max(0.0, 1.0 - taken / energy))
     linear, angular = rigid + left * off, common + left * twist
     changed: list[Motion] = []

@@ -73,6 +73,7 @@ class Watch:
         self._awake: list[Watched] = []
         self._left: list[Watched] = []
         self._box: tuple[Triple, Triple] | None = None
+        self._loose: set[int] = set()  # those at the last look
         self._seen: tuple[tuple[int, int], ...] = ()
         self._moving = False  # whether something foreign that may move is in the box
         self._boxes: dict[tuple[int, int], tuple[Triple, Triple]] = {}  # of what moves in it
@@ -105,6 +106,7 @@ class Watch:
             (self._awake if record in self._awake else self._left).remove(record)
             self._box = None
         self.contacts.pop(body, None)
+        self.loose.discard(body)
 
     def wake(self, record: Watched, look: bool = False) -> None:
         """Look at a body every step, from what the engine says of it now; in the next one whatever it does."""
@@ -173,8 +175,8 @@ class Watch:
         if self._foreign or self.loose:
             box = self._box or self._enclose(dt)
             seen = engine.near(*box)
-            if seen != self._seen or self.loose:
-                self._seen = seen
+            if seen != self._seen or self.loose != self._loose:
+                self._seen, self._loose = seen, self.loose
                 self._moving = any(self._moves(body) for body, _ in seen)
         else:
             self._moving = False
@@ -512,6 +514,8 @@ class Watch:
         """A body was given another velocity after the last step."""
         if body in self.records:
             self.records[body].motion = motion
+        elif (body, -1) in self._now:
+            self._now[body, -1] = motion
 
 
 def _step(old: tuple[Triple, Triple], new: tuple[Triple, Triple]) -> float:

@@ -15,10 +15,10 @@ from ..errors import PhysicsError
 from ..impulse import Impulse, as_impulses
 from .bodies import GLAZE, SHARDS, Body, Pose, quaternion_of, spawn
 from .contacts import CHAIN, LOAD, ContactImpulse, gate, loads, predict
-from .engine import Engine, Gone, Motion, State, Surface, rotation_of
+from .engine import Engine, Gone, Motion, State, Surface, Touches, Triple, rotation_of
 from .refine import WAYS, Refinement, decomposed, require, task, with_parts
 from .spin import Spin
-from .swap import COOLING, Cooling, CrackEnergy, Touch, cool, hand_over, island, undone
+from .swap import COOLING, Cooling, CrackEnergy, Parting, cool, hand_over, island, undone
 from .watch import Watch, Watched
 
 if TYPE_CHECKING:
@@ -133,13 +133,14 @@ class World:
         self._spin = Spin(self._engine)
         self._callbacks: list[ContactCallback] = []
         self._cooling: list[Cooling] = []
+        self._parting: list[Parting] = []
         self._told: frozenset[tuple[int, int]] = frozenset()  # hits that are relived in the step to come
         self._warned: set[tuple[str, str]] = set()
         self._renamed: dict[int, int] = {}  # constraints handed over
         self._dt, self._gravity = self._engine.clock()
         self._least = gate(self._dt, self._gravity)
         self._time, self._steps = 0.0, 0  # s, and the steps since
-        self._touches: list[Touch] | None = None  # of the last step, once somebody asked
+        self._touches: Touches | None = None  # of the last step, once somebody asked
         self._motions: dict[tuple[int, int], Motion] = {}  # before it
 
     @property
@@ -287,6 +288,8 @@ class World:
             for body, motion in self._spin.hold(self._dt):
                 watch.changed(body, motion)
             watch.loose = self._spin.moving - watch.records.keys()
+            if self._parting:
+                self._part()
             if self._cooling:
                 self._cool()
             if self._refining:
@@ -502,16 +505,18 @@ class World:
         )
         if kept is None:
             return told
-        known = self._watch.records.get(body)
-        for new, old, arm in zip(told, kept, (1.0, 0.1 if known is None else known.reach), strict=True):
-            off = arm * max(abs(a - b) for a, b in zip(new, old, strict=True))
-            if off > 0.02 * self._least + 1e-3 * arm * max(map(abs, new)):
-                return told
-        return kept
+        linear, angular = kept
+        if _differ(told[0], linear, 0.02 * self._least, 1e-3, told[0]):
+            return told
+        # Contacts tell less exactly of spin, the more so the more they change it.
+        arm = self._watch.records[body].reach if body in self._watch.records else 0.1
+        if _differ(told[1], angular, 0.1 * self._least / arm, 0.1, told[1], angular, self._engine.motion(body)[1]):
+            angular = told[1]
+        return linear, angular
 
-    def _all_touches(self) -> list[Touch]:
+    def _all_touches(self) -> Touches:
         if self._touches is None:
-            self._touches = self._engine.pairs()
+            self._touches = self._engine.touches()
         return self._touches
 
     def _tied(self, body: int) -> bool:
@@ -525,7 +530,7 @@ class World:
         start = perf_counter()
         ties = [(info[0], info[2]) for _, info in engine.constraints() if info[2] >= 0]
         broken = {one.record.body.id: one for one in breaks}
-        reached = island(self._all_touches(), ties, broken, engine.is_static)
+        reached = island([*self._all_touches().bodies.tolist(), *ties], broken, engine.is_static)
         states = {
             body: engine.state_before(body, self._motion_before(body, -1), watch.rates_before(body), dt)
             for body in reached
@@ -550,7 +555,34 @@ class World:
             one.timings["bodies"] = rewinding / len(breaks)
             one.others |= frozenset(reached)
             events.append(self._replace(one, states[one.record.body.id]))
+        others = [body for body in reached if body not in broken]
+        self._parting = [one for one in self._parting if {body.id for body in one.bodies}.isdisjoint(reached)]
+        if not any(engine.jointed(body) for body in others):
+            start = perf_counter()
+            bodies = [self._pieces[child] for event in events for child in event.children]
+            for body in others:
+                rigid = engine.rigid(body, -1)
+                bodies.append(Body(body, "", rigid.mass, np.zeros(3), np.eye(3), rigid.moments))
+            self._parting.append(Parting.begun(engine, bodies, self._gravity, self.time))
+            breaks[0].timings["bodies"] += 1e3 * (perf_counter() - start)
         return events
+
+    def _part(self) -> None:
+        """Take what energy pieces have made by getting out of each other."""
+        for one in tuple(self._parting):
+            if one.begun_at == self.time:
+                continue
+            try:
+                motions = one.stills(self._engine, self._gravity)
+            except Gone:
+                self._forget_removed()
+                motions, one.until = None, 0.0
+            if motions is not None:
+                for body, motion in zip(one.bodies, motions, strict=True):
+                    self._watch.changed(body.id, motion)
+                    self._spin.changed(body.id, motion[1])
+            if self.time >= one.until:
+                self._parting.remove(one)
 
     def _replace(self, what: _Break, state: State) -> FractureEvent:
         """Swap a body for its pieces at the state given."""
@@ -704,6 +736,12 @@ class World:
         for body, known in bodies.items():
             if not self._engine.is_marked(body, known.token):
                 self._forget(body)
+
+
+def _differ(a: Triple, b: Triple, least: float, share: float, *scales: Triple) -> bool:
+    """Whether two vectors differ by more than ``least`` and a share of the largest that it is measured by."""
+    size = max(abs(x) for scale in scales for x in scale)
+    return max(abs(x - y) for x, y in zip(a, b, strict=True)) > least + share * size
 
 
 def _is_number(value: object) -> bool:
