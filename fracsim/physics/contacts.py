@@ -281,6 +281,7 @@ def loads(
     own = _own(engine, body, placement)
     if own.mass == 0.0:
         return []
+    contacts = contacts.some(np.flatnonzero(contacts.forces > 0.0).tolist())
     some = _thinned(contacts)
     turn = cross(some.points - own.center, some.normals)
     response = some.normals @ some.normals.T / own.mass + turn @ _inverse_inertia(own) @ turn.T

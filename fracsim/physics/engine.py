@@ -67,7 +67,7 @@ class Rigid:
 
 
 class Contacts:
-    """The n contacts of one body that carried force in the last step, as they were in the pose before it.
+    """The n contacts of one body in the last step, as they were in the pose before it.
 
     others: (body, link) of what it touches, -1 being its base. force: N, the sum of their normal forces.
     """
@@ -296,8 +296,10 @@ class Engine:
         return normal, float(normal @ center)
 
     def contacts(self, body: int) -> Contacts | None:
-        """The contacts of the last step that pushed on the body, if any."""
-        points = [q for q in p.getContactPoints(bodyA=body, physicsClientId=self.client) or () if q[9] > 0.0]
+        """The contacts of the last step that pushed on the body, or in which it was too deep for no hit, if any: the
+        solver may leave the first to touch without force for one beside it."""
+        found = p.getContactPoints(bodyA=body, physicsClientId=self.client) or ()
+        points = [q for q in found if q[9] > 0.0 or q[8] < 0.0]
         return Contacts(points) if points else None
 
     def touch(self, body: int, other: int) -> bool:
