@@ -1,6 +1,8 @@
-"""What several test files share: the shipped assets, and one small asset baked once a session."""
+"""What several test files share: the shipped assets, and two small assets baked once a session."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import pytest
 import trimesh
@@ -17,7 +19,7 @@ SHIPPED = ("bunny", "chair", "vase")
 LEARNING = TrainingOptions("adamw", 3e-3, 1e-3, "cosine", batch=256, steps=300)
 QUICK = BakeOptions(
     cells=800,
-    modes=5,
+    modes=3,
     samples=3000,
     evaluated=60,
     workers=1,
@@ -41,6 +43,15 @@ def slab_mesh():
 @pytest.fixture(scope="session")
 def slab(slab_mesh):
     return fracsim.bake(slab_mesh, material="glass", seed=3, options=QUICK)
+
+
+@pytest.fixture(scope="session")
+def crate():
+    """A box of eight vertices, baked from a truth that cuts freely into an asset of a few atoms."""
+    options = replace(QUICK, truth="radial", cells=400, model=replace(QUICK.model, response=True))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fracsim.atoms.OBSERVED", 8)
+        return fracsim.bake(trimesh.creation.box((0.3, 0.2, 0.1)), options=options)
 
 
 @pytest.fixture(scope="session")

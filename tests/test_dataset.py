@@ -456,8 +456,9 @@ def test_wrong_answers_of_ones_own_truth_are_refused_before_there_is_a_file(gene
     assert list(tmp_path.iterdir()) == []
 
 
-def test_elastic_stress_is_kept_and_gone_on_from_but_not_made_again(surface, tmp_path):
+def test_elastic_stress_is_kept_and_gone_on_from_but_not_made_again(surface, tmp_path, monkeypatch):
     pytest.importorskip("wildmeshing")
+    monkeypatch.setattr("fracsim.elastic.EDGE", 0.15)  # coarse tetrahedra
     path = tmp_path / "elastic.h5"
     options = replace(SMALL, truth="elastic")
     make_dataset(path, surface, 500, 0, options)

@@ -22,7 +22,7 @@ name = "torus"
 file = "torus.obj"
 samples = 800
 tested = 12
-slow = 4
+slow = 2
 timed = 1
 
 [[models]]
@@ -79,7 +79,7 @@ def test_it_writes_tables_a_chart_and_figures_with_every_row_in_them(planned):
     for segmentation in ("watershed", "region_growing", "hierarchical", "kmeans", "felzenszwalb", "atoms"):
         for model in ("true field", "nearest impulse", "field (default)", "MLP 704x7"):
             many = segmentation == "atoms" and model != "MLP 704x7"
-            assert rows[model, segmentation]["impulses"] == (12 if many else 4)
+            assert rows[model, segmentation]["impulses"] == (12 if many else 2)
     table = (folder / "out/evaluation_5_10.md").read_text()
     assert "MLP 704x7, the thesis" in table
     assert all(f"| {model} |" in table for model in ("true field", "field (default)", "MLP 704x7"))
@@ -131,7 +131,7 @@ def test_bad_plans_are_refused_by_name(tmp_path, capsys):
         ("seed = [", "not a plan"),
         ("seed = 1", "'meshes'"),
         (PLAN.replace('kind = "mlp"', 'kind = "oracle"'), "unknown kind 'oracle'"),
-        (PLAN.replace("slow = 4", "swift = 4"), "swift"),
+        (PLAN.replace("slow = 2", "swift = 4"), "swift"),
         (PLAN.replace('name = "true field"', 'name = "MLP 704x7"'), "a name of its own"),
         (PLAN.replace('kind = "truth"', 'kind = "truth"\nmeshes = ["cube"]'), "no mesh 'cube'"),
     ):

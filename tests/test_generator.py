@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from conftest import QUICK
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -104,11 +103,11 @@ def test_through_another_lattice_pieces_are_as_many_and_break_as_often():
     surface = refine(read_surface(trimesh.creation.box((1.0, 0.6, 0.5))))
     severe = 6.0
     counts = []
+    blows, kind = draw_blows(surface, 1500, np.random.default_rng(9))
+    single = kind == 0
+    blows = Blows(*(getattr(blows, name)[single] for name in ("faces", "barycentric", "directions", "severities")))
     for seed in range(8):
-        generator = make_generator(surface, TruthOptions(cells=1200, modes=6), seed)
-        blows, kind = draw_blows(surface, 1500, np.random.default_rng(9))
-        single = kind == 0
-        blows = Blows(*(getattr(blows, name)[single] for name in ("faces", "barycentric", "directions", "severities")))
+        generator = make_generator(surface, TruthOptions(cells=800, modes=6), seed)
         labels = generator.fracture(blows.times(np.full(len(blows), severe))).labels
         counts.append(labels.max(axis=1) + 1)
     one, other = np.concatenate(counts[::2]), np.concatenate(counts[1::2])
@@ -186,18 +185,14 @@ def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
     assert np.mean(scores) > 0.6
 
 
-def test_another_truth_bakes_into_an_asset_that_breaks_and_owns_up_to_what_it_is(tmp_path, monkeypatch):
-    monkeypatch.setattr("fracsim.atoms.OBSERVED", 16)
-    box = trimesh.creation.box((0.3, 0.2, 0.1))
-    model = replace(QUICK.model, response=True)
-    asset = fracsim.bake(box, options=replace(QUICK, truth="radial", cells=400, samples=3000, model=model))
-    assert asset.metadata["truth"] == "radial"
-    assert asset.metadata["test"]["ari_of_the_atoms"] > 0.3
-    assert asset.metadata["test"]["balanced_accuracy"] > 0.7
+def test_another_truth_bakes_into_an_asset_that_breaks_and_owns_up_to_what_it_is(crate, tmp_path):
+    assert crate.metadata["truth"] == "radial"
+    assert crate.metadata["test"]["ari_of_the_atoms"] > 0.3
+    assert crate.metadata["test"]["balanced_accuracy"] > 0.7
     path = tmp_path / "radial.frac"
-    asset.save(path)
+    crate.save(path)
     again = fracsim.load(path)
-    assert again.truth == asset.truth
+    assert again.truth == crate.truth
     impulses = again.sample_impulses(40, 0)
     pieces = [len(again.fracture(impulse).pieces) for impulse in impulses]
     assert max(pieces) > 1 == min(pieces)

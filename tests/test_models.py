@@ -42,9 +42,9 @@ def told(torus_dataset):
 
 
 SMALL = {
-    "mlp": MLPOptions(48, 3, training=TrainingOptions(rate=3e-3, batch=1024, steps=250)),
+    "mlp": MLPOptions(48, 3, training=TrainingOptions(rate=3e-3, batch=1024, steps=100)),
     "deltaconv": DeltaConvOptions(
-        2, 24, embedding=32, dropout=0.0, training=TrainingOptions(rate=3e-3, batch=5, steps=150)
+        2, 24, embedding=32, dropout=0.0, training=TrainingOptions(rate=3e-3, batch=5, steps=80)
     ),
     "nearest": NearestOptions(),
 }

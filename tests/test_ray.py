@@ -19,13 +19,15 @@ def test_a_cluster_of_three_nodes_loses_nothing_when_one_is_killed():
 
     def slow_block(generator, seed, block):  # defined in here, so that ray sends it by value
         """A block that takes as long as an expensive truth would, and says on which node it was made."""
-        time.sleep(0.4)
+        time.sleep(0.3)
         return sample_block(generator, seed, block), ray.get_runtime_context().get_node_id()
 
     generator = make_generator(read_surface(bar_bell()), SMALL, 0)
-    blocks = list(range(16))
+    blocks = list(range(12))
     expected = list(run_blocks(sample_block, generator, 5, blocks))
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    often = {"health_check_period_ms": 300}  # a dead node is noticed after five of them
+    head = {"num_cpus": 0, "include_dashboard": False, "_system_config": often}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
     try:
         doomed = [cluster.add_node(num_cpus=1) for _ in range(2)][-1]
         ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)

@@ -120,7 +120,7 @@ class Slow(Line):
     def loss(self, rows, generator):
         time.sleep(0.01)
         return super().loss(rows, generator)
-train(Slow(), OPTIONS.__class__(**{**vars(OPTIONS), "epochs": 100}), 3, Run(Path(sys.argv[2]), every=0.0))
+train(Slow(), OPTIONS.__class__(**{**vars(OPTIONS), "epochs": 50}), 3, Run(Path(sys.argv[2]), every=0.0))
 """
 
 
@@ -133,11 +133,11 @@ def test_a_process_that_is_killed_leaves_a_checkpoint_to_go_on_from(tmp_path):
     time.sleep(0.2)
     process.kill()
     process.wait()
-    options = replace(OPTIONS, epochs=100)
+    options = replace(OPTIONS, epochs=50)
     whole, resumed = Line(), Line()
     train(whole, options, 3)
     train(resumed, options, 3, Run(path, resume=True))
-    assert 0 < len(resumed.seen) < 300
+    assert 0 < len(resumed.seen) < 150
     same(whole.weights(), resumed.weights())
 
 
