@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fracsim.bench import NAMES, idle
+from fracsim.bench import NAMES, idle, stability
 from fracsim.cli import main
 
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results"
@@ -37,3 +37,11 @@ def test_a_benchmark_writes_figures_table_and_picture(tmp_path, monkeypatch, cap
 def test_an_unknown_benchmark_is_refused_by_name(capsys):
     assert main(["bench", "speed"]) == 2
     assert "latency" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seed", [161576974, 594949506, 92794863, 2140277470])
+def test_pieces_that_stand_in_what_is_slow_or_spins_too_fast_gain_no_energy(seed):
+    [cell] = [cell for cell in stability.cells(False, 0) if cell.seed == seed]
+    row = stability.run(cell)
+    assert row["broke"]
+    assert row["failures"] == []

@@ -15,7 +15,7 @@ import fracsim
 from fracsim.physics.bodies import Body
 from fracsim.physics.engine import Engine
 from fracsim.physics.spin import TURN, Spin
-from fracsim.physics.swap import cool, island
+from fracsim.physics.swap import Parting, Rigids, cool, island
 
 
 @pytest.fixture
@@ -219,6 +219,46 @@ def test_taking_energy_keeps_momentum_and_angular_momentum(client, seed, demand)
     np.testing.assert_allclose(after[1], before[1], atol=1e-9)
     np.testing.assert_allclose(after[2], before[2], atol=1e-9)
     assert after[4] == pytest.approx(before[4] - taken, abs=1e-9)
+
+
+# --- pieces that stand in one another
+
+
+@pytest.mark.parametrize("gravity", [0.0, -9.81])
+def test_what_the_engine_makes_of_depth_is_taken_from_the_bodies_again(client, gravity):
+    p.setGravity(0, 0, gravity, physicsClientId=client)
+    p.setTimeStep(1 / 1000, physicsClientId=client)
+    engine = Engine(client)
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.5, 0.5, 0.5), physicsClientId=client)
+    bodies = []
+    for x in (0.0, 0.97):  # 3 cm deep, and nearing one another slowly
+        one = p.createMultiBody(1.0, shape, -1, (x, 0, 0), physicsClientId=client)
+        p.changeDynamics(one, -1, linearDamping=0, angularDamping=0, physicsClientId=client)
+        p.resetBaseVelocity(one, (0.05 - 0.1 * (x > 0), 0, 0), (0, 0, 0), physicsClientId=client)
+        bodies.append(Body(one, "", 1.0, np.zeros(3), np.eye(3), np.full(3, 1 / 6)))
+    down = (0.0, 0.0, gravity)
+    parting = Parting.begun(engine, bodies, down, 0.0)
+    start, ids = parting.energy, [body.id for body in bodies]
+    momentum, most = mechanics(client, ids)[1], 0.0
+    for _ in range(100):
+        p.stepSimulation(physicsClientId=client)
+        parting.stills(engine, down)
+        most = max(most, Rigids.now(engine, bodies).energy(down) - start)
+    assert most < 1e-6
+    np.testing.assert_allclose(mechanics(client, ids)[1][:2], momentum[:2], atol=1e-12)
+
+
+def test_energy_that_comes_from_outside_is_left_to_the_pieces(client):
+    engine = Engine(client)
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.5, 0.5, 0.5), physicsClientId=client)
+    one = p.createMultiBody(1.0, shape, -1, (0, 0, 0), physicsClientId=client)
+    hammer = ball(client, 1.0, 0.1, (0, 0, 0.602), (0, 0, -5))
+    body = Body(one, "", 1.0, np.zeros(3), np.eye(3), np.full(3, 1 / 6))
+    parting = Parting.begun(engine, [body], (0.0, 0.0, 0.0), 0.0)
+    p.stepSimulation(physicsClientId=client)
+    assert parting.stills(engine, (0.0, 0.0, 0.0)) is None
+    assert p.getBaseVelocity(one, physicsClientId=client)[0][2] < -1.0
+    assert p.getBaseVelocity(hammer, physicsClientId=client)[0][2] > -5.0
 
 
 # --- fast shards

@@ -95,6 +95,14 @@ def with_parts(
     )
 
 
+def refined_now(asset: Any, pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+    """The pieces with parts made at once; as they were if that goes wrong."""
+    try:
+        return with_parts(asset, pieces, decomposed(*task(asset, pieces)))
+    except Exception as error:  # of another library's
+        return with_parts(asset, pieces, None, f"its pieces were not decomposed ({error})")
+
+
 @dataclass(eq=False)
 class Refinement:
     """Pieces whose convex parts are being made in another process.

@@ -16,7 +16,7 @@ from ..impulse import Impulse, as_impulses
 from .bodies import GLAZE, SHARDS, Body, Pose, quaternion_of, spawn
 from .contacts import CHAIN, LOAD, ContactImpulse, gate, loads, predict
 from .engine import Engine, Gone, Motion, State, Surface, Touches, Triple, rotation_of
-from .refine import WAYS, Refinement, decomposed, require, task, with_parts
+from .refine import WAYS, Refinement, refined_now, require
 from .spin import Spin
 from .swap import COOLING, Cooling, CrackEnergy, Parting, cool, hand_over, island, undone
 from .watch import Watch, Watched
@@ -594,7 +594,7 @@ class World:
         ties = [tie for tie in engine.constraints() if parent.id in (tie[1][0], tie[1][2])]
         solids, asset = fracture.pieces, getattr(record.target, "asset", record.target)
         if self.decomposition == "coacd":
-            solids = with_parts(asset, solids, decomposed(*task(asset, solids)))
+            solids = refined_now(asset, solids)
         # Somebody may have given the body another mass; a static one's pieces have what its material makes them.
         heavier = (engine.mass(parent.id) or parent.mass) / parent.mass
         pieces = spawn(engine, solids, pose, surface, SHARDS if self.visuals else None, heavier)
