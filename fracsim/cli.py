@@ -8,9 +8,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .errors import AssetError, DatasetError, FracsimError, ModelError
+
+if TYPE_CHECKING:
+    from .asset import BreakableAsset
+    from .impulse import Impulse
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,15 +38,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     fracture = commands.add_parser("fracture", help="break an asset and say what comes of it")
     fracture.add_argument("asset", help="a file, or the name of an asset that ships")
-    fracture.add_argument("--point", type=float, nargs=3, metavar=("X", "Y", "Z"), help="m, in the asset's frame")
-    fracture.add_argument("--direction", type=float, nargs=3, metavar=("X", "Y", "Z"))
-    fracture.add_argument("--magnitude", type=float, help="N·s")
-    fracture.add_argument("--seed", type=int, default=0, help="draws the impulse where none is given")
-    fracture.add_argument("--predictor", default="field", help="field, interfaces or modes")
-    fracture.add_argument("--material", help="another than the asset's own")
-    fracture.add_argument("--scale", type=float, default=1.0, help="times the asset's own size")
     fracture.add_argument("--out", type=Path, help="a folder to write the pieces to, as OBJ files")
     fracture.set_defaults(run=_fracture)
+
+    view = commands.add_parser("view", help="draw how an asset breaks: field, pieces, convex parts")
+    view.add_argument("asset", help="a file, or the name of an asset that ships")
+    view.add_argument("--count", type=int, default=3, help="blows, from few pieces to many (default: 3)")
+    view.add_argument("--out", type=Path, help="the picture (default: the asset's name with .png)")
+    view.set_defaults(run=_view)
+    for command in (fracture, view):
+        command.add_argument("--point", type=float, nargs=3, metavar=("X", "Y", "Z"), help="m, in the asset's frame")
+        command.add_argument("--direction", type=float, nargs=3, metavar=("X", "Y", "Z"))
+        command.add_argument("--magnitude", type=float, help="N·s")
+        command.add_argument("--seed", type=int, default=0, help="draws the impulse where none is given")
+        command.add_argument("--predictor", default="field", help="field, interfaces or modes")
+        command.add_argument("--material", help="another than the asset's own")
+        command.add_argument("--scale", type=float, default=1.0, help="times the asset's own size")
 
     info = commands.add_parser("info", help="say what an asset holds and how good its model is")
     info.add_argument("asset", help="a file, or the name of an asset that ships")
@@ -127,14 +138,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bench.add_argument("--quiet", action="store_true", help="no progress bar")
     bench.set_defaults(run=_bench)
 
-    for command in (bake, fracture, info, make, describe, train, evaluate, tune, bench):
+    for command in (bake, fracture, view, info, make, describe, train, evaluate, tune, bench):
         command.add_argument("--json", type=Path, metavar="FILE", help="write the figures here")
     options = parser.parse_args(arguments)
     try:
         for path in (options.json, getattr(options, "out", None)):
             if path is not None and not path.absolute().parent.is_dir():
                 raise AssetError(f"{path}: the folder {path.parent} does not exist; create it first")
-        for path in (options.json, options.out if options.command in ("bake", "dataset", "train") else None):
+        for path in (options.json, options.out if options.command in ("bake", "dataset", "train", "view") else None):
             if path is not None and path.is_dir():
                 raise AssetError(f"{path}: is a folder; name a file in it")
         figures = options.run(options)
@@ -424,19 +435,10 @@ def _print_figures(metadata: dict[str, Any]) -> None:
 
 
 def _fracture(options: argparse.Namespace) -> dict[str, Any]:
-    from .asset import load, write_beside
-    from .impulse import Impulse
+    from .asset import write_beside
 
-    asset = load(options.asset).scaled(options.scale)
-    if options.material:
-        asset = asset.with_material(options.material)
-    given = (options.point, options.direction, options.magnitude)
-    if all(value is None for value in given):
-        impulse = asset.sample_impulses(1, options.seed)[0]
-    elif any(value is None for value in given):
-        raise FracsimError("give --point, --direction and --magnitude together, or none for a random impulse")
-    else:
-        impulse = Impulse(*given)
+    asset = _asset_of(options)
+    impulse = _impulse_of(options) or asset.sample_impulses(1, options.seed)[0]
     result = asset.fracture(impulse, options.predictor)
     print(
         f"{asset.name}, {asset.size:.3g} m of {asset.material.name}, {asset.mass:.4g} kg: "
@@ -467,6 +469,62 @@ def _fracture(options: argparse.Namespace) -> dict[str, Any]:
             for piece in result.pieces
         ],
         "timings": result.timings,
+    }
+
+
+def _asset_of(options: argparse.Namespace) -> BreakableAsset:
+    from .asset import load
+
+    asset = load(options.asset).scaled(options.scale)
+    return asset.with_material(options.material) if options.material else asset
+
+
+def _impulse_of(options: argparse.Namespace) -> Impulse | None:
+    """What the command line gives, if anything."""
+    from .impulse import Impulse
+
+    given = (options.point, options.direction, options.magnitude)
+    if all(value is None for value in given):
+        return None
+    if any(value is None for value in given):
+        raise FracsimError("give --point, --direction and --magnitude together, or none for a random impulse")
+    return Impulse(*given)
+
+
+def _view(options: argparse.Namespace) -> dict[str, Any]:
+    import numpy as np
+
+    from .view import picture_fractures
+
+    asset = _asset_of(options)
+    impulse = _impulse_of(options)
+    if options.count < 1:
+        raise FracsimError(f"--count must be at least 1, got {options.count}")
+    if impulse is None:
+        drawn = asset.sample_impulses(20 * options.count, options.seed)
+        found = [(one, asset.fracture(one, options.predictor)) for one in drawn]
+        found = sorted((pair for pair in found if pair[1].broken), key=lambda pair: len(pair[1].pieces))
+        if not found:
+            raise FracsimError(f"{asset.name}: none of {len(drawn)} random impulses breaks it; give one")
+        chosen = np.linspace(0, len(found) - 1, options.count).round().astype(int)
+        blows = [found[k] for k in dict.fromkeys(chosen.tolist())]
+    else:
+        blows = [(impulse, asset.fracture(impulse, options.predictor))]
+    out = options.out or Path(f"{asset.name}.png")
+    picture_fractures(asset, [([one], fracture) for one, fracture in blows], out)
+    print(f"{out}: {asset.name} in {', '.join(str(len(fracture.pieces)) for _, fracture in blows)} pieces")
+    return {
+        "out": str(out),
+        "blows": [
+            {
+                "point": one.point.tolist(),
+                "direction": one.direction.tolist(),
+                "magnitude": one.magnitude,
+                "severity": fracture.severity,
+                "pieces": len(fracture.pieces),
+            }
+            for one, fracture in blows
+        ],
     }
 
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .asset import write_beside
-from .dataset import Samples
+from .asset import BreakableAsset, Fracture, write_beside
 from .errors import DatasetError, MissingExtraError
-from .sampling import SurfacePoints
-from .solid import surface_parts
-from .storage import Dataset
+from .impulse import Impulse
+
+if TYPE_CHECKING:
+    from .dataset import Samples
 
 try:
     import matplotlib
@@ -28,6 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 COLUMNS, ROWS = 4, 3
+APART = 0.4  # how far pieces are drawn from where they were, of how far that is from the centre of mass
 LIGHT = np.array([0.3, 0.5, 0.81])  # in the frame of the picture: right, up, towards the eye
 
 
@@ -37,6 +38,11 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
 
     Raises DatasetError when there are none.
     """
+    from .dataset import Samples
+    from .sampling import SurfacePoints
+    from .solid import surface_parts
+    from .storage import Dataset
+
     with Dataset(path) as dataset:
         breaking = [
             block.rows(np.flatnonzero(block.labels.any(axis=1))) for block in _enough(dataset.blocks(skip_damaged=True))
@@ -74,6 +80,52 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
         right.set_title("distance to the nearest crack", fontsize=8)
     figure.suptitle(name, fontsize=9)
     write_beside(Path(out), as_png(figure, 100))
+
+
+def picture_fractures(
+    asset: BreakableAsset, blows: Sequence[tuple[Sequence[Impulse], Fracture]], out: str | Path
+) -> None:
+    """Draw fractures of an asset, a row each: the distance field with what struck it, the pieces, these pulled apart,
+    and their convex parts."""
+    titles = "distance to the nearest crack", "pieces", "pulled apart", "their convex parts"
+    figure = Figure(figsize=(3.4 * len(titles), 3.2 * len(blows)), layout="constrained")
+    rows = figure.subplots(len(blows), len(titles), squeeze=False)
+    palette = matplotlib.colormaps["tab20"](np.arange(20))
+    for axes, (impulses, fracture) in zip(rows, blows, strict=True):
+        frame = view_frame(-np.sum([impulse.direction for impulse in impulses], axis=0))
+        distance = fracture.udf[asset.faces].mean(axis=1) / max(float(fracture.udf.max()), 1e-300)
+        draw_mesh(axes[0], asset.vertices, asset.faces, matplotlib.colormaps["viridis"](distance), frame)
+        where = np.array([impulse.point for impulse in impulses])
+        ways = asset.size * np.array([impulse.direction for impulse in impulses])
+        _arrows(axes[0], where, ways, frame)
+        apart = [APART * (piece.center_of_mass - asset.center_of_mass) for piece in fracture.pieces]
+        surfaces = [(piece.vertices, piece.faces) for piece in fracture.pieces]
+        _draw_all(axes[1], surfaces, palette, frame)
+        moved = [(vertices + way, faces) for (vertices, faces), way in zip(surfaces, apart, strict=True)]
+        _draw_all(axes[2], moved, palette, frame)
+        hulls = [
+            (vertices + way, faces)
+            for piece, way in zip(fracture.pieces, apart, strict=True)
+            for vertices, faces in piece.hulls
+        ]
+        _draw_all(axes[3], hulls, palette, frame)
+        for axis, title in zip(axes, titles, strict=True):
+            axis.set_axis_off()
+            axis.set_title(title, fontsize=8)
+        total = sum(impulse.magnitude for impulse in impulses)
+        axes[0].set_title(f"{total:.3g} N·s, severity {fracture.severity:.2g}: {titles[0]}", fontsize=8)
+        axes[1].set_title(f"{len(fracture.pieces)} pieces", fontsize=8)
+    figure.suptitle(f"{asset.name}, {asset.size:.3g} m of {asset.material.name}, {asset.mass:.3g} kg", fontsize=9)
+    write_beside(Path(out), as_png(figure, 110))
+
+
+def _draw_all(axis: Any, meshes: Sequence[tuple[FloatArray, IntArray]], palette: FloatArray, frame: FloatArray) -> None:
+    """Closed meshes, each in a colour of its own."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    vertices = np.vstack([vertices for vertices, _ in meshes])
+    faces = np.vstack([faces + start for (_, faces), start in zip(meshes, starts, strict=False)])
+    owner = np.repeat(np.arange(len(meshes)), [len(faces) for _, faces in meshes])
+    draw_mesh(axis, vertices, faces, palette[owner % len(palette)], frame)
 
 
 def as_png(figure: Figure, dpi: int) -> bytes:

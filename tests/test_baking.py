@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 
+import matplotlib.image
 import numpy as np
 import pytest
 import trimesh
@@ -195,3 +196,18 @@ def test_the_info_command_reads_any_asset_and_refuses_what_is_none(slab, tmp_pat
     assert "junk.frac" in capsys.readouterr().err
     assert main(["fracture", "bunny", "--magnitude", "3"]) == 2
     assert "together" in capsys.readouterr().err
+
+
+def test_the_view_command_draws_how_an_asset_breaks(tmp_path, capsys):
+    out, figures = tmp_path / "v.png", tmp_path / "v.json"
+    assert main(["view", "chair", "--scale", "0.3", "--count", "2", "--out", str(out), "--json", str(figures)]) == 0
+    blows = json.loads(figures.read_text())["blows"]
+    assert 2 <= blows[0]["pieces"] < blows[1]["pieces"]
+    pixels = matplotlib.image.imread(out)
+    assert pixels.shape[0] > 600
+    for column in np.array_split(pixels, 4, axis=1):
+        assert (column[60:, :, :3].std(axis=2) > 0.05).mean() > 0.02  # something in colour in each
+    assert main(["view", "chair", "--magnitude", "3", "--out", str(out)]) == 2
+    assert "together" in capsys.readouterr().err
+    assert main(["view", "chair", "--count", "0", "--out", str(out)]) == 2
+    assert main(["view", "chair", "--out", str(tmp_path)]) == 2

@@ -159,10 +159,10 @@ def counted() -> Iterator[Counter[str]]:
 
 
 def measure(quick: bool, seed: int, progress: Callable[[float], None]) -> dict[str, Any]:
-    """Figures a scene: µs a step of both, the pairwise difference, the ratio of medians, and engine calls a step.
+    """Figures a scene: µs a step of both, what the same step takes more and times as long, and engine calls a step.
 
     In several rounds with twins of their own, since how long the same step takes differs between two clients as well;
-    the ratio is the median of the rounds'.
+    ratios are the medians of the rounds'.
     """
     steps, rounds = (480, 1) if quick else (2400, 7)
     result: dict[str, Any] = {"steps": steps, "rounds": rounds, "rate": RATE, "scenes": {}}
@@ -172,7 +172,7 @@ def measure(quick: bool, seed: int, progress: Callable[[float], None]) -> dict[s
         calls = _calls(build)
         extra = times[..., 0] - times[..., 1]
         medians = np.median(times, axis=1)
-        ratios = medians[:, 0] / medians[:, 1]
+        ratios = np.median(times[..., 0] / times[..., 1], axis=1)
         totals = times.sum(axis=1)
         limit = LIMITS[name]
         figures: dict[str, Any] = {
@@ -180,13 +180,14 @@ def measure(quick: bool, seed: int, progress: Callable[[float], None]) -> dict[s
             "watched_us": float(np.median(medians[:, 0])),
             "extra_us_median": float(np.median(extra)),
             "extra_us_p99": float(np.quantile(extra, 0.99)),
-            "ratio_of_medians": float(np.median(ratios)),
-            "ratios_of_medians": ratios.tolist(),
+            "ratio_of_pairs": float(np.median(ratios)),
+            "ratios_of_pairs": ratios.tolist(),
+            "ratio_of_medians": float(np.median(medians[:, 0] / medians[:, 1])),
             "ratio_of_totals": float(np.median(totals[:, 0] / totals[:, 1])),
             "calls_a_step": calls,
             "limit": limit,
         }
-        judged = figures["ratio_of_medians"] if limit < 2.0 else figures["extra_us_median"]
+        judged = figures["ratio_of_pairs"] if limit < 2.0 else figures["extra_us_median"]
         figures["holds"] = bool(judged <= limit)
         result["scenes"][name] = figures
         progress((done + 1) / len(SCENES))
@@ -220,18 +221,18 @@ def _calls(build: Callable[[int, World], Callable[[], None]]) -> dict[str, float
 
 def table(figures: dict[str, Any]) -> str:
     lines = [
-        "| scene | stepSimulation, µs | World.step, µs | more, median µs | p99 | ratio (of rounds) | ratio of totals | "
-        "engine calls a step | limit |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| scene | stepSimulation, µs | World.step, µs | more, median µs | p99 | ratio of a pair, median "
+        "(rounds) | of medians | of totals | engine calls a step | limit |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in figures["scenes"].items():
         calls = sum(row["calls_a_step"].values()) - 1.0
         unit = "" if row["limit"] < 2.0 else " µs"
-        ratios = row["ratios_of_medians"]
+        ratios = row["ratios_of_pairs"]
         lines.append(
             f"| {name} | {row['bare_us']:.1f} | {row['watched_us']:.1f} | {row['extra_us_median']:.1f} | "
-            f"{row['extra_us_p99']:.1f} | {row['ratio_of_medians']:.3f} ({min(ratios):.3f} to {max(ratios):.3f}) | "
-            f"{row['ratio_of_totals']:.3f} | {calls:.2f} | "
+            f"{row['extra_us_p99']:.1f} | {row['ratio_of_pairs']:.3f} ({min(ratios):.3f} to {max(ratios):.3f}) | "
+            f"{row['ratio_of_medians']:.3f} | {row['ratio_of_totals']:.3f} | {calls:.2f} | "
             f"{row['limit']:g}{unit}: {'held' if row['holds'] else 'missed'} |"
         )
     return "\n".join(lines)

@@ -69,12 +69,14 @@ class Rigid:
 class Contacts:
     """The n contacts of one body in the last step, as they were in the pose before it.
 
-    others: (body, link) of what it touches, -1 being its base. force: N, the sum of their normal forces.
+    others: (body, link) of what it touches, -1 being its base. pushing: of what pushes on it. force: N, the sum of
+    their normal forces.
     """
 
     def __init__(self, points: Sequence[tuple[Any, ...]]) -> None:
         self._points = points
         self.others = tuple((q[2], q[4]) for q in points)
+        self.pushing = {(q[2], q[4]) for q in points if q[9] > 0.0}
         self.force: float = sum(q[9] for q in points)
 
     def some(self, chosen: Sequence[int]) -> Contacts:
@@ -296,10 +298,10 @@ class Engine:
         return normal, float(normal @ center)
 
     def contacts(self, body: int) -> Contacts | None:
-        """The contacts of the last step that pushed on the body, or in which it was too deep for no hit, if any: the
-        solver may leave the first to touch without force for one beside it."""
+        """The contacts of a body in the last step, if any pushed on it. With them go those in which it is too deep for
+        no hit: the solver may leave what touched first without force for one beside it."""
         found = p.getContactPoints(bodyA=body, physicsClientId=self.client) or ()
-        points = [q for q in found if q[9] > 0.0 or q[8] < 0.0]
+        points = [q for q in found if q[9] > 0.0 or q[8] < 0.0] if any(q[9] > 0.0 for q in found) else ()
         return Contacts(points) if points else None
 
     def touch(self, body: int, other: int) -> bool:

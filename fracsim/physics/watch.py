@@ -42,6 +42,7 @@ class Watched:
     center: list[float] = field(default_factory=list)
     low: Triple = (0.0, 0.0, 0.0)  # of the box that it stays in while nothing is asked
     high: Triple = (0.0, 0.0, 0.0)
+    core: tuple[float, ...] = ()  # of one asleep: the box, lows then highs, that something has to meet to touch it
     slack: float = 0.0  # m that it may move before its box is made anew
     until: int = 0  # the step up to which it is left alone
     asleep: bool = False  # whether that is because it lies still
@@ -72,6 +73,7 @@ class Watch:
         self.loaded = False  # whether anything is pressed
         self._awake: list[Watched] = []
         self._left: list[Watched] = []
+        self._flying: list[Watched] = []  # of these
         self._box: tuple[Triple, Triple] | None = None
         self._loose: set[int] = set()  # those at the last look
         self._seen: tuple[tuple[int, int], ...] = ()
@@ -103,7 +105,9 @@ class Watch:
         """Watch it no more; it may be gone."""
         record = self.records.pop(body, None)
         if record is not None:
-            (self._awake if record in self._awake else self._left).remove(record)
+            for some in (self._awake, self._left, self._flying):
+                if record in some:
+                    some.remove(record)
             self._box = None
         self.contacts.pop(body, None)
         self.loose.discard(body)
@@ -113,6 +117,8 @@ class Watch:
         if record in self._left:
             self._left.remove(record)
             self._awake.append(record)
+        if record in self._flying:
+            self._flying.remove(record)
         record.calm = record.pressed = 0
         try:
             self._refresh(record)
@@ -153,7 +159,7 @@ class Watch:
             self._called.clear()
         steps = self._steps
         census = engine.census()
-        if census != self._census or (steps & 3 == 2 and not engine.is_marked(*self._last)):
+        if census != self._census or (steps & 7 == 2 and not engine.is_marked(*self._last)):
             self._census = census
             for record in tuple(self._left):  # what they lay on may be gone
                 if record.asleep:
@@ -163,8 +169,10 @@ class Watch:
             self._recount()
         if steps % EVERY == EVERY // 2:
             self._inspect()
-        if steps & 3 == 0 and self._left:
-            self._check(suspects, dt, gravity, least)
+        if steps & 3 == 0 and self._flying:
+            self._track(suspects, dt, gravity)
+        if steps % EVERY == EVERY // 4:
+            self._check(least)
         if self._due <= steps:
             self._due = NEVER
             for record in tuple(self._left):
@@ -267,9 +275,12 @@ class Watch:
         if until == NEVER:
             record.asleep = True
             self._box_of(record, dt)
+            record.core = _core(record, dt)
             speed = max(map(abs, record.motion[0]))
             if speed > 1e-9:  # it creeps
                 until = self._steps + 1 + int(record.slack / (3 * speed * dt))
+        else:
+            self._flying.append(record)
         record.until = until
         self._due = min(self._due, until)
 
@@ -319,27 +330,33 @@ class Watch:
         record.until = self._steps + max(CALM, 2 * (self._steps - record.since))
         return moved < 0.25 * record.slack
 
-    def _check(self, suspects: list[Watched], dt: float, gravity: Triple, least: float) -> None:
-        """Whether those left alone are as they were left: somebody may have moved them."""
-        engine = self.engine
+    def _check(self, least: float) -> None:
+        """Whether those that lie still do."""
         for record in tuple(self._left):
-            body, motion = record.body.id, record.motion
             try:
-                if record.asleep:
-                    if not self._steps & 7 and not is_slow(engine.motion(body), least, record.reach):
-                        self.wake(record)
-                    continue
-                time = (self._steps - record.since) * dt
-                rest = 0.5 * time * (time + dt)
-                off = max(
-                    abs(x - c - v * time - g * rest)
-                    for x, c, v, g in zip(engine.placement(body)[0], record.center, motion[0], gravity, strict=True)
-                )
-                if off > 0.05 * record.reach + record.damping[0] * time * time * max(map(abs, motion[0])):
+                if record.asleep and not is_slow(self.engine.motion(record.body.id), least, record.reach):
                     self.wake(record)
-                    suspects.append(record)
             except Gone:
-                self.drop(body)
+                self.drop(record.body.id)
+
+    def _track(self, suspects: list[Watched], dt: float, gravity: Triple) -> None:
+        """Whether those in flight are where that takes them: somebody may have put them elsewhere."""
+        for record in tuple(self._flying):
+            time = (self._steps - record.since) * dt
+            rest = 0.5 * time * (time + dt)
+            motion = record.motion[0]
+            try:
+                place = self.engine.placement(record.body.id)[0]
+            except Gone:
+                self.drop(record.body.id)
+                continue
+            off = max(
+                abs(x - c - v * time - g * rest)
+                for x, c, v, g in zip(place, record.center, motion, gravity, strict=True)
+            )
+            if off > 0.05 * record.reach + record.damping[0] * time * time * max(map(abs, motion)):
+                self.wake(record)
+                suspects.append(record)
 
     def _inspect(self) -> None:
         """The forces on one of the bodies, each in its turn: a load moves nothing."""
@@ -385,7 +402,7 @@ class Watch:
                 continue
             if not record.pressed and contacts.force > record.bearable:
                 self._press(record)
-            pushing = [key for key in set(contacts.others) if self._moves(key[0])]
+            pushing = [key for key in contacts.pushing if self._moves(key[0])]
             record.touched = bool(pushing)
             if record.before is not None:
                 slow = is_slow(record.before, least, record.reach)
@@ -430,14 +447,7 @@ class Watch:
         east, north, up = map(max, lows_and_highs[3:])
         found: dict[int, list[tuple[int, int]]] = {}
         for record in self.records.values():
-            if record.until and not record.asleep:
-                (a, b, c), (d, e, f) = record.low, record.high
-            else:
-                x, y, z = record.center
-                reach = 1.01 * record.reach + 0.2 * SPEED * dt
-                if not record.asleep:
-                    reach += max(map(abs, record.motion[0])) * dt
-                a, b, c, d, e, f = x - reach, y - reach, z - reach, x + reach, y + reach, z + reach
+            a, b, c, d, e, f = record.core if record.asleep else _core(record, dt)
             if d < west or a > east or e < south or b > north or f < down or c > up:
                 continue
             near = [
@@ -516,6 +526,15 @@ class Watch:
             self.records[body].motion = motion
         elif (body, -1) in self._now:
             self._now[body, -1] = motion
+
+
+def _core(record: Watched, dt: float) -> tuple[float, ...]:
+    """Lows and highs of the box that something has to meet to touch a body in the step to come."""
+    if record.until and not record.asleep:
+        return (*record.low, *record.high)
+    x, y, z = record.center
+    reach = 1.01 * record.reach + 0.2 * SPEED * dt + max(map(abs, record.motion[0])) * dt
+    return x - reach, y - reach, z - reach, x + reach, y + reach, z + reach
 
 
 def _step(old: tuple[Triple, Triple], new: tuple[Triple, Triple]) -> float:

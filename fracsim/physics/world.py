@@ -365,6 +365,8 @@ class World:
             if not self._engine.is_marked(body, record.body.token):
                 self._forget(body)
                 continue
+            if self._is_spared(record):
+                continue
             start = perf_counter()
             hits = self._hits_on(record, record in pressed)
             queue += [self._watch.records[hit.other] for hit in hits if hit.other in self._watch.records]
@@ -392,6 +394,19 @@ class World:
         events = self._exchange(breaks)
         self._save()
         return events
+
+    def _is_spared(self, record: Watched) -> bool:
+        """Whether all that touches a body was in the break that it came of, and neither may break the other yet."""
+        if self.time >= record.immune_until:
+            return False
+        contacts = self._watch.touching(record.body.id)
+        for other, _ in contacts.others if contacts is not None else ():
+            known = self._watch.records.get(other)
+            if other not in record.immune or (
+                known is not None and (self.time >= known.immune_until or record.body.id not in known.immune)
+            ):
+                return False
+        return True
 
     def _hits_on(self, record: Watched, loaded: bool) -> list[ContactImpulse]:
         engine, body = self._engine, record.body
