@@ -9,11 +9,12 @@ import pybullet as p
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from test_world import HARD, SlabBox, ball, floor, mechanics
 
 import fracsim
 from fracsim.physics.bodies import Body
-from fracsim.physics.engine import Engine
+from fracsim.physics.engine import Engine, turned
 from fracsim.physics.spin import TURN, Spin
 from fracsim.physics.swap import Parting, Rigids, cool, island
 
@@ -237,7 +238,7 @@ def test_what_the_engine_makes_of_depth_is_taken_from_the_bodies_again(client, g
         p.resetBaseVelocity(one, (0.05 - 0.1 * (x > 0), 0, 0), (0, 0, 0), physicsClientId=client)
         bodies.append(Body(one, "", 1.0, np.zeros(3), np.eye(3), np.full(3, 1 / 6)))
     down = (0.0, 0.0, gravity)
-    parting = Parting.begun(engine, bodies, down, 0.0)
+    parting = Parting(bodies, Rigids.now(engine, bodies).energy(down), 1.0)
     start, ids = parting.energy, [body.id for body in bodies]
     momentum, most = mechanics(client, ids)[1], 0.0
     for _ in range(100):
@@ -254,7 +255,7 @@ def test_energy_that_comes_from_outside_is_left_to_the_pieces(client):
     one = p.createMultiBody(1.0, shape, -1, (0, 0, 0), physicsClientId=client)
     hammer = ball(client, 1.0, 0.1, (0, 0, 0.602), (0, 0, -5))
     body = Body(one, "", 1.0, np.zeros(3), np.eye(3), np.full(3, 1 / 6))
-    parting = Parting.begun(engine, [body], (0.0, 0.0, 0.0), 0.0)
+    parting = Parting([body], 0.0, 1.0)
     p.stepSimulation(physicsClientId=client)
     assert parting.stills(engine, (0.0, 0.0, 0.0)) is None
     assert p.getBaseVelocity(one, physicsClientId=client)[0][2] < -1.0
@@ -289,3 +290,11 @@ def test_a_shard_that_spins_keeps_its_angular_momentum_and_gains_no_energy(clien
             assert np.linalg.norm(now - angular) < (2e-3 if speed < 0.5 * rate else 2e-2) * np.linalg.norm(angular)
     linear, _ = p.getBaseVelocity(shard, physicsClientId=client)
     np.testing.assert_allclose(linear, (1, 0, 0), atol=1e-12)
+
+
+@given(st.lists(st.floats(-50, 50), min_size=3, max_size=3), st.floats(-1, 1), st.integers(0, 2**32 - 1))
+def test_turning_a_quaternion_is_what_scipy_says(angular, time, seed):
+    start = Rotation.random(rng=seed)
+    expected = Rotation.from_rotvec(time * np.array(angular)) * start
+    found = Rotation.from_quat(turned(start.as_quat().tolist(), tuple(angular), time))
+    assert (expected.inv() * found).magnitude() < 1e-7

@@ -39,6 +39,7 @@ class Cooling:
     energy: CrackEnergy
     pieces: list[Body]
     until: float  # s, of the world's time
+    fresh: bool = True  # whether they have not moved yet
 
 
 def island(pairs: Iterable[Sequence[int]], seeds: Iterable[int], is_static: Callable[[int], bool]) -> list[int]:
@@ -112,12 +113,16 @@ class Rigids:
 
     @classmethod
     def now(cls, engine: Engine, bodies: Sequence[Body]) -> Rigids:
-        placements = [engine.placement(body.id) for body in bodies]
-        motions = np.array([engine.motion(body.id) for body in bodies])  # (n, 2, 3)
+        places, motions = [engine.placement(body.id) for body in bodies], [engine.motion(body.id) for body in bodies]
+        return cls.of(bodies, places, motions)
+
+    @classmethod
+    def of(cls, bodies: Sequence[Body], placements: Sequence[Placement], motions: Sequence[Motion]) -> Rigids:
+        moving = np.array(motions)  # (n, 2, 3)
         axes = np.array([rotation_of(quaternion) for _, quaternion in placements])
         inertia = np.einsum("nij,nj,nkj->nik", axes, np.array([body.moments for body in bodies]), axes)
         mass = np.array([body.mass for body in bodies])
-        return cls(mass, np.array([place for place, _ in placements]), inertia, motions[:, 0], motions[:, 1])
+        return cls(mass, np.array([place for place, _ in placements]), inertia, moving[:, 0], moving[:, 1])
 
     def energy(self, gravity: Triple) -> float:
         """J, kinetic and of height."""
@@ -133,17 +138,13 @@ class Parting:
     They may stand in each other by what the gap between convex parts does not cover. The engine turns such depth into
     speed, and what it makes of energy that way is taken from them again.
 
-    energy: J, that they began the step with. begun_at, until: s, of the world's time.
+    energy: J, that they began the step with. fresh: whether that is yet to come. until: s, of the world's time.
     """
 
     bodies: list[Body]
     energy: float
-    begun_at: float
     until: float
-
-    @classmethod
-    def begun(cls, engine: Engine, bodies: list[Body], gravity: Triple, time: float) -> Parting:
-        return cls(bodies, Rigids.now(engine, bodies).energy(gravity), time, time + PARTING)
+    fresh: bool = True
 
     def stills(self, engine: Engine, gravity: Triple) -> list[Motion] | None:
         """After a step: the new motions of the bodies, where they had gained energy; None if they had not.
@@ -160,6 +161,8 @@ class Parting:
 
     def _stuck(self, engine: Engine, least: float) -> bool:
         """Whether two of them stand deeper in each other than that, and nothing besides them moves any."""
+        if not all(engine.is_marked(body.id, body.token) for body in self.bodies if body.token):
+            return False  # ids come again
         bodies, stuck = {body.id for body in self.bodies}, False
         touches = engine.touches()
         for (a, b), depth in zip(touches.bodies.tolist(), touches.depths.tolist(), strict=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from .contacts import CHAIN, LOAD, ContactImpulse, gate, loads, predict
 from .engine import Engine, Gone, Motion, State, Surface, Touches, Triple, rotation_of
 from .refine import WAYS, Refinement, refined_now, require
 from .spin import Spin
-from .swap import COOLING, Cooling, CrackEnergy, Parting, cool, hand_over, island, undone
+from .swap import COOLING, PARTING, Cooling, CrackEnergy, Parting, Rigids, cool, hand_over, island, undone
 from .watch import Watch, Watched
 
 if TYPE_CHECKING:
@@ -570,22 +570,38 @@ class World:
             one.timings["bodies"] = rewinding / len(breaks)
             one.others |= frozenset(reached)
             events.append(self._replace(one, states[one.record.body.id]))
-        others = [body for body in reached if body not in broken]
         self._parting = [one for one in self._parting if {body.id for body in one.bodies}.isdisjoint(reached)]
-        if not any(engine.jointed(body) for body in others):
+        others = [body for body in reached if body not in broken]
+        if not any(map(engine.jointed, others)):
             start = perf_counter()
-            bodies = [self._pieces[child] for event in events for child in event.children]
-            for body in others:
-                rigid = engine.rigid(body, -1)
-                bodies.append(Body(body, "", rigid.mass, np.zeros(3), np.eye(3), rigid.moments))
-            self._parting.append(Parting.begun(engine, bodies, self._gravity, self.time))
+            self._parting.append(self._parting_of(breaks, events, others, states))
             breaks[0].timings["bodies"] += 1e3 * (perf_counter() - start)
         return events
+
+    def _parting_of(
+        self, breaks: list[_Break], events: list[FractureEvent], others: list[int], states: dict[int, State]
+    ) -> Parting:
+        """Of the pieces of some breaks, and what they shall live the step with."""
+        pieces: list[Body] = []
+        before: list[Body] = []  # whose energy the pieces have
+        for what, event in zip(breaks, events, strict=True):
+            own = [self._pieces[child] for child in event.children]
+            pieces += own
+            body, mass = what.record.body, sum(piece.mass for piece in own)
+            before.append(replace(body, mass=mass, moments=body.moments * mass / body.mass))
+        rest = []
+        for other in others:
+            rigid = self._engine.rigid(other, -1)
+            rest.append(Body(other, "", rigid.mass, np.zeros(3), np.eye(3), rigid.moments))
+        known = [states[body.id] for body in (*before, *rest)]
+        then = Rigids.of([*before, *rest], [one.placement for one in known], [one.motion for one in known])
+        return Parting([*pieces, *rest], then.energy(self._gravity), self.time + PARTING)
 
     def _part(self) -> None:
         """Take what energy pieces have made by getting out of each other."""
         for one in tuple(self._parting):
-            if one.begun_at == self.time:
+            if one.fresh:
+                one.fresh = False
                 continue
             try:
                 motions = one.stills(self._engine, self._gravity)
@@ -655,6 +671,9 @@ class World:
     def _cool(self) -> None:
         """Let cracks take their energy from how their pieces have come to move."""
         for one in tuple(self._cooling):
+            if one.fresh:
+                one.fresh = False
+                continue
             one.pieces = [
                 piece
                 for piece in one.pieces  # ids come again
