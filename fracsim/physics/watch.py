@@ -159,7 +159,7 @@ class Watch:
             self._called.clear()
         steps = self._steps
         census = engine.census()
-        if census != self._census or (steps & 7 == 2 and not engine.is_marked(*self._last)):
+        if census != self._census or (steps & 7 == 0 and not engine.is_marked(*self._last)):
             self._census = census
             for record in tuple(self._left):  # what they lay on may be gone
                 if record.asleep:
@@ -167,11 +167,10 @@ class Watch:
             self._recount()
         elif steps % EVERY == 0:
             self._recount()
-        if steps % EVERY == EVERY // 2:
-            self._inspect()
         if steps & 3 == 0 and self._flying:
             self._track(suspects, dt, gravity)
-        if steps % EVERY == EVERY // 4:
+        if steps % EVERY == 0:  # all at once, so that most steps have none of it
+            self._inspect()
             self._check(least)
         if self._due <= steps:
             self._due = NEVER
