@@ -78,7 +78,8 @@ def test_bodies_that_lie_still_cost_nothing_each(client, count):
     for _ in range(240):
         world.step()
     calls = calls_a_step(world)
-    assert calls.pop("getNumBodies") + calls.pop("getBodyUniqueId") <= 2.2 + 0.1 * count  # what all share
+    shared = "getNumBodies", "getBodyUniqueId", "getUserDataId"  # who is there
+    assert sum(calls.pop(name) for name in shared) <= 2.2 + 0.2 * count
     assert sum(calls.values()) <= 0.7 + 0.2 * count  # the sleepers every few steps, the clock, what there is
 
 
@@ -92,7 +93,8 @@ def test_bodies_that_fly_where_nothing_is_cost_next_to_nothing_each(client, coun
     for _ in range(60):
         world.step()
     calls = calls_a_step(world)
-    assert calls.pop("getNumBodies") + calls.pop("getBodyUniqueId") <= 2.2 + 0.1 * count
+    shared = "getNumBodies", "getBodyUniqueId", "getUserDataId"
+    assert sum(calls.pop(name) for name in shared) <= 2.2 + 0.2 * count
     assert sum(calls.values()) <= 0.8 + 0.8 * count
 
 
@@ -301,7 +303,7 @@ def test_a_saved_state_put_back_is_seen_when_woken(client, phase):
     assert any(world.step() for _ in range(60))
 
 
-@pytest.mark.parametrize("phase", range(5))
+@pytest.mark.parametrize("phase", range(16))
 def test_what_takes_the_id_of_something_static_is_seen(client, phase):
     floor(client)
     world = fracsim.World(client)
@@ -311,7 +313,7 @@ def test_what_takes_the_id_of_something_static_is_seen(client, phase):
     for _ in range(240 + phase):
         world.step()
     p.removeBody(post, physicsClientId=client)
-    assert ball(client, 1.0, 0.1, (-1, 0.5, 0.5), (30, 0, 0)) == post
+    assert ball(client, 1.0, 0.1, (-0.4, 0.5, 0.5), (30, 0, 0)) == post
     assert any(world.step() for _ in range(20))
 
 

@@ -176,6 +176,10 @@ class Engine:
         count = p.getNumBodies(physicsClientId=self.client)
         return count, p.getBodyUniqueId(count - 1, physicsClientId=self.client) if count else -1
 
+    def count(self) -> int:
+        """The number of bodies."""
+        return int(p.getNumBodies(physicsClientId=self.client))
+
     def bodies(self) -> list[int]:
         client = self.client
         return [p.getBodyUniqueId(k, physicsClientId=client) for k in range(p.getNumBodies(physicsClientId=client))]

@@ -158,9 +158,13 @@ class Watch:
                     suspects.append(record)
             self._called.clear()
         steps = self._steps
-        census = engine.census()
-        if census != self._census or (steps & 7 == 0 and not engine.is_marked(*self._last)):
-            self._census = census
+        # Another body in the last one's place leaves the census as it is, and one in another's place the last.
+        if steps & 1:
+            changed = engine.count() != self._census[0] or not engine.is_marked(*self._last)
+        else:
+            changed = engine.census() != self._census
+        if changed:
+            self._census = engine.census()
             for record in tuple(self._left):  # what they lay on may be gone
                 if record.asleep:
                     self.wake(record)
@@ -205,7 +209,6 @@ class Watch:
         )
         self._moving = False
         self._tied = engine.tied(self.records)
-        # Another body in the last one's place would leave the census as it is.
         last = self._census[1]
         if last in self.own:
             self._last = last, self.own[last]
