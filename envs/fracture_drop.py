@@ -16,6 +16,7 @@ import fracsim
 from fracsim.errors import FracsimError, RenderError
 from fracsim.physics.contacts import ContactImpulse
 from fracsim.physics.engine import GRAVITY, Engine, Scene, rotation_of
+from fracsim.physics.world import vector_of
 
 if TYPE_CHECKING:
     from fracsim import BreakableAsset, Material
@@ -258,10 +259,7 @@ def _whole(value: Any, name: str) -> int:
 
 
 def _numbers(value: Any, count: int, name: str) -> FloatArray:
-    try:
-        vector = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (count,) or np.isnan(vector).any():
+    vector = vector_of(value, count)
+    if vector is None or np.isnan(vector).any():
         raise FracsimError(f"{name} must be {count} numbers, got {value}")
     return vector

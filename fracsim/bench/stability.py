@@ -54,7 +54,7 @@ LIMITS = {  # of the residuals, see `Stage.check`
 APPROACH = 2  # steps before things meet
 AFTERMATH = 28  # steps after
 UNBREAKABLE = 1e30  # Pa
-PATIENCE = 60.0  # s, after which a cell counts as hung; a heap of 15 broken bunnies takes the engine alone a third
+PATIENCE = 60.0  # s, after which a cell counts as hung; the table says what the slowest takes
 BUDGET = 540.0  # s, after which no further cell is begun
 GRAVITY = 9.81  # m/s²
 

@@ -273,11 +273,8 @@ class Engine:
 
     def is_static(self, body: int) -> bool:
         """Whether it has no mass and no joints; a body that does not exist counts as static."""
-        client = self.client
         try:
-            if p.getDynamicsInfo(body, -1, physicsClientId=client)[0] != 0.0:
-                return False
-            return not p.getNumJoints(body, physicsClientId=client)
+            return self.mass(body) == 0.0 and not self.jointed(body)
         except p.error:
             return True
 
@@ -503,7 +500,7 @@ class Engine:
 
 def turned(quaternion: Sequence[float], angular: Triple, time: float) -> tuple[float, float, float, float]:
     """A unit quaternion (x, y, z, w) after turning for so long, in plain numbers: scipy's checks of its arguments take
-    ten times as long as one rotation does."""
+    longer than one rotation."""
     speed = math.hypot(*angular)
     half = 0.5 * speed * time
     share = math.sin(half) / speed if speed > 0.0 else 0.0

@@ -131,7 +131,7 @@ class Refinement:
 class _Worker:
     """A process that decomposes, one task after another, started when first asked and anew when it has died.
 
-    A process and no thread, which would hold up a step by most of a frame now and then, and whose crash would be the
+    A process and no thread, which would hold up steps while it has the interpreter, and whose crash would be the
     simulation's; no pool of multiprocessing, as that runs the user's script once more.
     """
 

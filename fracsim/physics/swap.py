@@ -39,7 +39,6 @@ class Cooling:
     energy: CrackEnergy
     pieces: list[Body]
     until: float  # s, of the world's time
-    fresh: bool = True  # whether they have not moved yet
 
 
 def island(pairs: Iterable[Sequence[int]], seeds: Iterable[int], is_static: Callable[[int], bool]) -> list[int]:
@@ -138,13 +137,12 @@ class Parting:
     They may stand in each other by what the gap between convex parts does not cover. The engine turns such depth into
     speed, and what it makes of energy that way is taken from them again.
 
-    energy: J, that they began the step with. fresh: whether that is yet to come. until: s, of the world's time.
+    energy: J, that they began the step with. until: s, of the world's time.
     """
 
     bodies: list[Body]
     energy: float
     until: float
-    fresh: bool = True
 
     def stills(self, engine: Engine, gravity: Triple) -> list[Motion] | None:
         """After a step: the new motions of the bodies, where they had gained energy; None if they had not.

@@ -283,15 +283,16 @@ class World:
         self._steps += 1
         if self._steps == _CLOCK:
             self._read_clock()
+        parting, cooling = tuple(self._parting), tuple(self._cooling)  # what breaks now has not moved yet
         events = self._look() if watch.records else []
         if self._pieces:  # last, as what was before the step follows from how it left things
             for body, motion in self._spin.hold(self._dt):
                 watch.changed(body, motion)
             watch.loose = self._spin.moving - watch.records.keys()
-            if self._parting:
-                self._part()
-            if self._cooling:
-                self._cool()
+            if parting:
+                self._part(parting)
+            if cooling:
+                self._cool(cooling)
             if self._refining:
                 self._refine()
         return events
@@ -597,11 +598,10 @@ class World:
         then = Rigids.of([*before, *rest], [one.placement for one in known], [one.motion for one in known])
         return Parting([*pieces, *rest], then.energy(self._gravity), self.time + PARTING)
 
-    def _part(self) -> None:
+    def _part(self, those: Sequence[Parting]) -> None:
         """Take what energy pieces have made by getting out of each other."""
-        for one in tuple(self._parting):
-            if one.fresh:
-                one.fresh = False
+        for one in those:
+            if one not in self._parting:  # they live the step anew
                 continue
             try:
                 motions = one.stills(self._engine, self._gravity)
@@ -668,12 +668,9 @@ class World:
         self._renamed[constraint] = new
         return new
 
-    def _cool(self) -> None:
+    def _cool(self, those: Sequence[Cooling]) -> None:
         """Let cracks take their energy from how their pieces have come to move."""
-        for one in tuple(self._cooling):
-            if one.fresh:
-                one.fresh = False
-                continue
+        for one in those:
             one.pieces = [
                 piece
                 for piece in one.pieces  # ids come again
@@ -791,11 +788,17 @@ def _at_least(value: float, least: float, name: str) -> float:
     return float(value)
 
 
-def _vector(value: Vector, name: str, length: int) -> FloatArray:
+def vector_of(value: object, count: int) -> FloatArray | None:
+    """(count,) what somebody gave, NaN and infinity included; None where it is not so many numbers."""
     try:
         vector = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        vector = np.zeros(0)
-    if vector.shape != (length,) or not np.isfinite(vector).all():
+        return None
+    return vector if vector.shape == (count,) else None
+
+
+def _vector(value: Vector, name: str, length: int) -> FloatArray:
+    vector = vector_of(value, length)
+    if vector is None or not np.isfinite(vector).all():
         raise PhysicsError(f"{name} must be {length} finite numbers, got {value}")
     return vector
