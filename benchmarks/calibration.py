@@ -17,10 +17,10 @@ import manifold3d
 import numpy as np
 import trimesh
 
-from fracsim.breaking import components, drives, weakest_cut
-from fracsim.generator import modal_generator
-from fracsim.material import GAUGE, PRESETS
-from fracsim.mesh import read_surface
+from fracsim.common.material import GAUGE, PRESETS
+from fracsim.fracture.rule import components, load_ratios, weakest_cut
+from fracsim.simulators.modal import modal_simulator
+from fracsim.solids.surface import read_surface
 
 RESULTS = Path(__file__).parent / "results"
 MESHES = Path(__file__).parent.parent / "meshes"
@@ -44,7 +44,7 @@ def mug() -> trimesh.Trimesh:
 def critical_speeds(mesh: trimesh.Trimesh, restitution: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Per fall, the landing speeds that chip and that break the mesh, over GAUGE times the critical velocity."""
     surface = read_surface(mesh)
-    generator = modal_generator(surface, np.random.default_rng(0))
+    generator = modal_simulator(surface, np.random.default_rng(0))
     interfaces, volumes = generator.interfaces, generator.parts.volumes
     pairs = interfaces.pairs
     body = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
@@ -56,7 +56,7 @@ def critical_speeds(mesh: trimesh.Trimesh, restitution: float = 0.1) -> tuple[np
     arm = np.cross(surface.vertices[lowest] - body.center_mass, up)
     effective = 1.0 / (1.0 + np.einsum("ni,ij,nj->n", arm, inverse, arm))  # of the mass
     rows = generator.rows[lowest]
-    drive = drives(rows[:, None], up[:, None], ((1 + restitution) * effective)[:, None], interfaces)
+    drive = load_ratios(rows[:, None], up[:, None], ((1 + restitution) * effective)[:, None], interfaces)
     chip = 1.0 / weakest_cut(drive, pairs, len(volumes))
     # Damage only ever grows with speed, so bisect for where the largest piece falls below INTACT.
     low, high = chip, np.full_like(chip, 1.0 / drive.min())

@@ -18,13 +18,15 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import rankdata, spearmanr
 
-from fracsim.breaking import components, effective, weakest_cut
-from fracsim.elastic import ElasticBody, elastic_generator, mesh_edge, single_blows, tetrahedralise
-from fracsim.generator import Blows, ModalGenerator, absorb_all, modal_generator
-from fracsim.mesh import read_surface, refine
+from fracsim.fracture.rule import components, effective_opening, weakest_cut
+from fracsim.geometry.sampling import SurfacePoints
 from fracsim.metrics import ari
-from fracsim.sampling import SurfacePoints
-from fracsim.solid import sums, surface_parts
+from fracsim.simulators.base import Impacts, merge_small_pieces_each
+from fracsim.simulators.elastic import elastic_simulator, single_impacts
+from fracsim.simulators.elastic_fem import ElasticBody, mesh_edge, tetrahedralise
+from fracsim.simulators.modal import ModalSimulator, modal_simulator
+from fracsim.solids.solid import sum_by_index, surface_cells
+from fracsim.solids.surface import read_surface, refine
 
 RESULTS = Path(__file__).parent / "results"
 MESHES = Path(__file__).parent.parent / "meshes"
@@ -37,7 +39,7 @@ FEWEST = 8  # interfaces a rank correlation is taken over at least
 KINDS = ("all", "near", "far", "tension", "compression")
 
 
-def centres(modal: ModalGenerator) -> np.ndarray:
+def centres(modal: ModalSimulator) -> np.ndarray:
     """(I, 3) the area-weighted centres of the interfaces."""
     parts, pairs = modal.parts, modal.interfaces.pairs
     inner = parts.source < 0
@@ -46,7 +48,10 @@ def centres(modal: ModalGenerator) -> np.ndarray:
     found, index = np.unique(np.sort(parts.sides[inner], axis=1), axis=0, return_inverse=True)
     assert np.array_equal(found, pairs)
     index = index.reshape(-1)
-    return sums(index, area[:, None] * corner.mean(axis=1), len(pairs)) / sums(index, area, len(pairs))[:, None]
+    return (
+        sum_by_index(index, area[:, None] * corner.mean(axis=1), len(pairs))
+        / sum_by_index(index, area, len(pairs))[:, None]
+    )
 
 
 def rank_correlations(left: np.ndarray, right: np.ndarray, chosen: np.ndarray) -> dict:
@@ -58,15 +63,17 @@ def rank_correlations(left: np.ndarray, right: np.ndarray, chosen: np.ndarray) -
     return {"median": middle, "p10": low, "p90": high, "blows": len(found)}
 
 
-def fractures(modal: ModalGenerator, drive: np.ndarray) -> np.ndarray:
+def fractures(modal: ModalSimulator, drive: np.ndarray) -> np.ndarray:
     """(N, V) the piece of each vertex at RATIO times each blow's threshold."""
     pairs, count = modal.interfaces.pairs, len(modal.parts.volumes)
     whole = drive * (RATIO / weakest_cut(drive, pairs, count))[:, None] < 1.0
-    labels = absorb_all(components(whole, pairs, count), modal.parts.volumes, modal.interfaces, modal.crumb_floor)
-    return labels[:, surface_parts(modal.parts, len(modal.surface.vertices))]
+    labels = merge_small_pieces_each(
+        components(whole, pairs, count), modal.parts.volumes, modal.interfaces, modal.crumb_floor
+    )
+    return labels[:, surface_cells(modal.parts, len(modal.surface.vertices))]
 
 
-def agreement(modal: ModalGenerator, left: np.ndarray, right: np.ndarray) -> dict:
+def agreement(modal: ModalSimulator, left: np.ndarray, right: np.ndarray) -> dict:
     """What becomes of the body under drives ``left`` and ``right`` (N, I) of the same blows."""
     pairs, count = modal.interfaces.pairs, len(modal.parts.volumes)
     here, there = fractures(modal, left), fractures(modal, right)
@@ -86,7 +93,7 @@ def hardest(drive: np.ndarray) -> np.ndarray:
     return drive >= np.quantile(drive, 0.9, axis=1, keepdims=True)
 
 
-def openings(modal: ModalGenerator, blows: Blows) -> np.ndarray:
+def openings(modal: ModalSimulator, blows: Impacts) -> np.ndarray:
     """(N, I) the normal component of the diffused jump, positive where it opens the interface."""
     points = SurfacePoints(modal.surface.vertices, modal.surface.faces)
     field = points.rows(modal.rows, blows.faces, blows.barycentric)[:, 0]
@@ -99,7 +106,7 @@ def compare(name: str) -> tuple[dict, dict]:
     start = time.perf_counter()
     surface = refine(read_surface(MESHES / f"{name}.obj"))
     rng = np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0])
-    modal = modal_generator(surface, rng, cells=5000, modes=20)
+    modal = modal_simulator(surface, rng, cells=5000, modes=20)
     seconds = {"modal": time.perf_counter() - start}
 
     start = time.perf_counter()
@@ -107,16 +114,16 @@ def compare(name: str) -> tuple[dict, dict]:
     mesh = tetrahedralise(surface, edge)
     seconds["mesh"] = time.perf_counter() - start
     start = time.perf_counter()
-    elastic = elastic_generator(modal, mesh)
+    elastic = elastic_simulator(modal, mesh)
     seconds["elastic"] = time.perf_counter() - start
 
-    blows = single_blows(surface, BLOWS, np.random.default_rng(1))
+    blows = single_impacts(surface, BLOWS, np.random.default_rng(1))
     start = time.perf_counter()
     diffused = modal.drives(blows)
     seconds["modal_query"] = (time.perf_counter() - start) / BLOWS
     start = time.perf_counter()
     tractions = elastic.tractions(blows)
-    stressed = effective(tractions, modal.interfaces.normals)
+    stressed = effective_opening(tractions, modal.interfaces.normals)
     seconds["elastic_query"] = (time.perf_counter() - start) / BLOWS
 
     contacts = SurfacePoints(surface.vertices, surface.faces).at(blows.faces[:, 0], blows.barycentric[:, 0])
@@ -133,7 +140,7 @@ def compare(name: str) -> tuple[dict, dict]:
     bent = body.root_mean_square_drives(body.displacements(contacts, directions))
     finer = ElasticBody(surface, modal.parts, modal.interfaces, edge=FINER * edge)
     moved = finer.displacements(contacts, directions)
-    refined = effective(finer.tractions_of(moved), modal.interfaces.normals)
+    refined = effective_opening(finer.tractions_of(moved), modal.interfaces.normals)
     refined_bent = finer.root_mean_square_drives(moved)
 
     figures = {

@@ -20,11 +20,11 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from udf import CELLS, FRACTURES, MESHES, RESULTS, SEED, fractures
 
-from fracsim.generator import ModalGenerator, modal_generator
-from fracsim.mesh import read_surface, refine
-from fracsim.pieces import AtomComplex
-from fracsim.solid import Solid, surface_parts
-from fracsim.udf import crack_segments
+from fracsim.geometry.complex import AtomComplex
+from fracsim.simulators.modal import ModalSimulator, modal_simulator
+from fracsim.solids.geodesics import crack_segments
+from fracsim.solids.solid import Solid, surface_cells
+from fracsim.solids.surface import read_surface, refine
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -39,7 +39,7 @@ OURS, CENTROID, CAGE = "ours", "nearest cell centroid", "nearest cage vertex"
 # ------------------------------------------------------------------------------------------ the parts themselves
 
 
-def additivity(truth: ModalGenerator) -> dict[str, float]:
+def additivity(truth: ModalSimulator) -> dict[str, float]:
     """How far the parts' volumes and outer faces are from the body's, relative."""
     parts, mesh = truth.parts, truth.surface.trimesh
     outer = parts.source >= 0
@@ -70,11 +70,11 @@ def winding(points: FloatArray, vertices: FloatArray, faces: IntArray) -> FloatA
     return result
 
 
-def containment(truth: ModalGenerator) -> dict[str, float]:
+def containment(truth: ModalSimulator) -> dict[str, float]:
     """Asks every part's closed surface which vertices, moved inward, it holds."""
     parts, mesh = truth.parts, truth.surface.trimesh
     points = truth.surface.vertices - INWARD * mesh.vertex_normals  # weighted by angle
-    label = surface_parts(parts, len(points))
+    label = surface_cells(parts, len(points))
     complex_ = AtomComplex(parts.points, parts.triangles, parts.sides)
     holders = np.zeros(len(points), dtype=np.int64)
     right = np.zeros(len(points), dtype=bool)
@@ -104,7 +104,7 @@ def farthest(points: FloatArray, count: int) -> IntArray:
     return chosen
 
 
-def mappings(truth: ModalGenerator) -> dict[str, IntArray]:
+def mappings(truth: ModalSimulator) -> dict[str, IntArray]:
     """(V,) the part of each vertex, by name of the way it is found."""
     vertices, mesh = truth.surface.vertices, truth.surface.trimesh
     cells = cKDTree(truth.cells.centroids)
@@ -112,7 +112,7 @@ def mappings(truth: ModalGenerator) -> dict[str, IntArray]:
     cage = vertices[chosen] + OFFSET * mesh.vertex_normals[chosen]
     of_cage = truth.atom[cells.query(cage)[1]]
     return {
-        OURS: surface_parts(truth.parts, len(vertices)),
+        OURS: surface_cells(truth.parts, len(vertices)),
         CENTROID: truth.atom[cells.query(vertices)[1]],
         CAGE: of_cage[cKDTree(cage).query(vertices)[1]],
     }
@@ -151,7 +151,7 @@ def to_segments(points: FloatArray, start: FloatArray, end: FloatArray) -> Float
     return np.linalg.norm(arm - t[:, :, None] * along, axis=2).min(axis=1)
 
 
-def nearest_corner(truth: ModalGenerator, faces: IntArray, points: FloatArray) -> IntArray:
+def nearest_corner(truth: ModalSimulator, faces: IntArray, points: FloatArray) -> IntArray:
     """The corner nearest to each point among those of its face: a wall may be thinner than its edges are long."""
     gap = np.linalg.norm(truth.surface.vertices[faces] - points[:, None], axis=2)
     return np.take_along_axis(faces, gap.argmin(axis=1)[:, None], axis=1)[:, 0]
@@ -164,7 +164,7 @@ class Wall:
     those that the two lie on. nearest: (N, 2), the nearest corners of the input's faces there.
     """
 
-    def __init__(self, truth: ModalGenerator, rng: np.random.Generator) -> None:
+    def __init__(self, truth: ModalSimulator, rng: np.random.Generator) -> None:
         parts, vertices = truth.parts, truth.surface.vertices
         outer = np.flatnonzero(parts.source >= 0)
         corners = parts.points[parts.triangles[outer]]
@@ -220,7 +220,7 @@ class Wall:
 # ------------------------------------------------------------------------------------------------------ picture
 
 
-def unrolled(truth: ModalGenerator, columns: int = 240, rows: int = 220) -> tuple[IntArray, IntArray]:
+def unrolled(truth: ModalSimulator, columns: int = 240, rows: int = 220) -> tuple[IntArray, IntArray]:
     """Outer and inner wall seen along radii: the parts and the nearest vertices there, (2, rows, columns), or -1."""
     parts = truth.parts
     outer = np.flatnonzero(parts.source >= 0)
@@ -242,7 +242,7 @@ def unrolled(truth: ModalGenerator, columns: int = 240, rows: int = 220) -> tupl
     return part, vertex
 
 
-def draw(truth: ModalGenerator, labels: IntArray, of_vertex: dict[str, IntArray], result: dict) -> None:
+def draw(truth: ModalSimulator, labels: IntArray, of_vertex: dict[str, IntArray], result: dict) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -372,7 +372,7 @@ def main() -> None:
     result |= {"parts": [], "vertices": [], "wall": []}
     for name in ("bunny", "chair", "vase"):
         surface = replace(refine(read_surface(MESHES / f"{name}.obj")), name=name)
-        truth = modal_generator(surface, np.random.default_rng(SEED), CELLS)
+        truth = modal_simulator(surface, np.random.default_rng(SEED), CELLS)
         labels = fractures(truth, FRACTURES, np.random.default_rng(SEED + 1))
         of_vertex = mappings(truth)
         result["parts"].append(

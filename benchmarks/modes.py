@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fracsim.fracture_modes import Modes, fracture_modes
-from fracsim.mesh import read_surface
-from fracsim.solid import Solid, cut_lattice
+from fracsim.simulators.fracture_modes import Modes, fracture_modes
+from fracsim.solids.cut import cut_lattice
+from fracsim.solids.solid import Solid
+from fracsim.solids.surface import read_surface
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"

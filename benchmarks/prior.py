@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fracsim.atoms import atoms_for
-from fracsim.dataset import sample
-from fracsim.generator import TruthOptions, make_generator
-from fracsim.mesh import read_surface
+from fracsim.data.samples import sample
+from fracsim.learning.atoms import atoms_for
+from fracsim.learning.body import BodyGeometry
+from fracsim.learning.field import FieldModel, FieldOptions
 from fracsim.metrics import ari
-from fracsim.models.base import Body
-from fracsim.models.fit_field import Field, FieldOptions
+from fracsim.simulators.registry import SimulatorOptions, make_simulator
+from fracsim.solids.surface import read_surface
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
@@ -32,8 +32,8 @@ ROWS = {
 
 def main() -> None:
     surface = read_surface(HERE.parent / "meshes" / "bunny.obj")
-    generator = make_generator(surface, TruthOptions(), 0)
-    body = Body.of(surface, atoms_for(generator, [], 1e-3))
+    generator = make_simulator(surface, SimulatorOptions(), 0)
+    body = BodyGeometry.of(surface, atoms_for(generator, [], 1e-3))
     samples = sample(generator, 60000, 0)
     held_out = samples.part(1)
     held_out = held_out.rows(held_out.labels.any(axis=1))
@@ -43,7 +43,7 @@ def main() -> None:
     for name, row in ROWS.items():
         for steps in STEPS:
             options = replace(row, training=replace(row.training, steps=steps))
-            model, figures = Field.fit(body, samples, options)
+            model, figures = FieldModel.fit(body, samples, options)
             labels = model.predict_labels(held_out.blows)[:, body.vertex_atom]
             score = float(np.mean([ari(a, b) for a, b in zip(truth, labels, strict=True)]))
             results.append({"row": name, "steps": steps, "ari": score, **figures})

@@ -14,10 +14,11 @@ import numpy as np
 from scipy.stats import chi2, kstest
 from sklearn.cluster import KMeans
 
-from fracsim.dataset import KINDS, draw_blows, sample
-from fracsim.generator import TruthOptions, make_generator
-from fracsim.mesh import read_surface, refine
-from fracsim.sampling import SEVERITY
+from fracsim.data.impacts import KINDS, draw_impacts
+from fracsim.data.samples import sample
+from fracsim.geometry.sampling import SEVERITY
+from fracsim.simulators.registry import SimulatorOptions, make_simulator
+from fracsim.solids.surface import read_surface, refine
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
@@ -37,14 +38,14 @@ def main() -> None:
     rows, curves = [], {}
     for name in MESHES:
         surface = refine(read_surface(HERE.parent / "meshes" / f"{name}.obj"))
-        generator = make_generator(surface, TruthOptions(), 0)
+        generator = make_simulator(surface, SimulatorOptions(), 0)
         centres, area = surface.trimesh.triangles_center, surface.trimesh.area_faces
         patch = KMeans(PATCHES, n_init=1, random_state=0).fit_predict(centres, sample_weight=area)
         drawn = sample(generator, COUNT, 0)
         single = drawn.kind == 0
         ours, p_ours = density(drawn.faces[single, 0], patch, area)
         # The usual way: one strength, that which breaks half of the impacts, and what does not break is rejected.
-        blows, kind = draw_blows(surface, COUNT, np.random.default_rng(1))
+        blows, kind = draw_impacts(surface, COUNT, np.random.default_rng(1))
         threshold = generator.thresholds(blows)
         kept = (kind == 0) & (threshold <= np.median(threshold[kind == 0]))
         rejected, p_rejected = density(blows.faces[kept, 0], patch, area)

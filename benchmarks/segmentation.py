@@ -21,15 +21,18 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from threadpoolctl import threadpool_limits
 
-from fracsim.atoms import atoms_for
-from fracsim.dataset import sample
-from fracsim.generator import TruthOptions, absorb_all, make_generator
-from fracsim.mesh import Surface, read_surface, refine, split_faces
+from fracsim.data.samples import sample
+from fracsim.learning.atoms import atoms_for
+from fracsim.learning.body import BodyGeometry
 from fracsim.metrics import amae, ari
-from fracsim.models.base import Body
-from fracsim.segmentation import DEFAULTS, METHODS, SurfaceGraph, passes
+from fracsim.segmentation import DEFAULTS, METHODS
+from fracsim.segmentation.graph import SurfaceGraph
+from fracsim.segmentation.midpoints import midpoint_segmentation
 from fracsim.segmentation.reference import REFERENCES, prepare
-from fracsim.udf import CAP, split_in_four
+from fracsim.simulators.base import merge_small_pieces_each
+from fracsim.simulators.registry import SimulatorOptions, make_simulator
+from fracsim.solids.geodesics import CAP, split_in_four
+from fracsim.solids.surface import Surface, read_surface, refine, split_faces
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -55,9 +58,9 @@ class Case:
 
     def __init__(self, name: str, surface: Surface) -> None:
         self.name = name
-        options = TruthOptions()
-        generator = make_generator(surface, options, SEED)
-        self.body = Body.of(surface, atoms_for(generator, [], options.crumb_floor))
+        options = SimulatorOptions()
+        generator = make_simulator(surface, options, SEED)
+        self.body = BodyGeometry.of(surface, atoms_for(generator, [], options.crumb_floor))
         samples = sample(generator, 4 * FRACTURES, SEED)
         self.atoms = samples.labels[samples.labels.any(axis=1)][:FRACTURES]
         self.truth = self.atoms[:, self.body.vertex_atom]
@@ -70,7 +73,7 @@ class Case:
     def flooded(self, nodes: FloatArray, height: float) -> IntArray:
         labels = self.body.basins.labels(nodes[: self.count], height)
         atoms = self.body.atoms
-        whole = absorb_all(labels[None], self.body.volumes, atoms.interfaces, atoms.crumb_floor)[0]
+        whole = merge_small_pieces_each(labels[None], self.body.volumes, atoms.interfaces, atoms.crumb_floor)[0]
         return whole[self.body.vertex_atom]
 
     def at_vertices(self, method: str, parameter: float) -> Cut:
@@ -78,8 +81,8 @@ class Case:
 
     def ours(self) -> dict[str, Cut]:
         return {
-            OURS: lambda nodes: passes(self.graph, nodes),
-            LINKED: lambda nodes: passes(self.linked, nodes),
+            OURS: lambda nodes: midpoint_segmentation(self.graph, nodes),
+            LINKED: lambda nodes: midpoint_segmentation(self.linked, nodes),
             **{name: partial(self.flooded, height=height) for name, height in zip(ATOMS, HEIGHTS, strict=True)},
         }
 
@@ -212,7 +215,7 @@ def spoiled(case: Case) -> list[dict[str, object]]:
         LOW: case.at_vertices("watershed", 0.05),
         **case.tried(),
         LINKED: case.ours()[LINKED],
-        SLACKER: lambda nodes: passes(case.linked, nodes, SLACK),
+        SLACKER: lambda nodes: midpoint_segmentation(case.linked, nodes, SLACK),
         ATOMS[-1]: case.ours()[ATOMS[-1]],
     }
     rows = []

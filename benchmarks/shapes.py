@@ -17,7 +17,7 @@ import trimesh
 
 import fracsim
 from fracsim.baking import BakeOptions
-from fracsim.view import draw_mesh, view_frame
+from fracsim.study.view import draw_mesh, view_frame
 
 RESULTS = Path(__file__).parent / "results"
 SHOWN = ("comb", "cup", "plate")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import fracsim
 from fracsim.baking import BakeOptions
-from fracsim.models.fit_field import FieldOptions
+from fracsim.learning.field import FieldOptions
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"

@@ -26,12 +26,16 @@ import potpourri3d
 import trimesh
 from scipy.spatial import cKDTree
 
-from fracsim.generator import Blows, ModalGenerator, modal_generator
-from fracsim.mesh import Surface, read_surface, refine
+from fracsim.geometry.sampling import CONE, SurfacePoints, cone
 from fracsim.metrics import amae
-from fracsim.sampling import CONE, SurfacePoints, cone
-from fracsim.solid import Solid, _cut, _DegenerateError, _join_slivers, _lattice, coarsen, relabel, surface_parts
-from fracsim.udf import CAP, CurveDistances, split_in_four
+from fracsim.simulators.base import Impacts
+from fracsim.simulators.modal import ModalSimulator, modal_simulator
+from fracsim.solids.cut import DegenerateCut, cut_once, join_slivers
+from fracsim.solids.geodesics import CAP, CurveDistances, split_in_four
+from fracsim.solids.lattice import tilted_lattice
+from fracsim.solids.polygons import coarsen
+from fracsim.solids.solid import Solid, relabel, surface_cells
+from fracsim.solids.surface import Surface, read_surface, refine
 
 try:
     from pygeodesic import geodesic
@@ -55,12 +59,12 @@ HEAT_SPLIT = "heat method, split mesh"
 EXACT = f"exact polyhedral, points every {COARSE}"
 
 
-def fractures(truth: ModalGenerator, count: int, rng: np.random.Generator) -> IntArray:
+def fractures(truth: ModalSimulator, count: int, rng: np.random.Generator) -> IntArray:
     """(count, P) labels: the answers to single blows at random places that part the body."""
     pool = SurfacePoints(truth.surface.vertices, truth.surface.faces)
     face, bary = pool.draw(2 * count, rng)
     directions = cone(-pool.normals[face], CONE, rng)
-    blows = Blows(face[:, None], bary[:, None], directions[:, None], np.ones((2 * count, 1)))
+    blows = Impacts(face[:, None], bary[:, None], directions[:, None], np.ones((2 * count, 1)))
     ratio = np.exp(rng.uniform(*np.log(RATIOS), 2 * count))
     labels = truth.fracture(blows.times(ratio * truth.thresholds(blows))).labels
     return labels[labels.any(axis=1)][:count]
@@ -80,7 +84,7 @@ def with_midpoints(values: FloatArray, edges: IntArray) -> FloatArray:
 
 def vertices_beside(solid: Solid, surface: Surface, edges: IntArray) -> Callable[[IntArray], IntArray]:
     """From labels to the vertices that have a neighbour on another piece."""
-    part = surface_parts(solid, len(surface.vertices))
+    part = surface_cells(solid, len(surface.vertices))
     return lambda labels: np.unique(edges[labels[part[edges[:, 0]]] != labels[part[edges[:, 1]]]])
 
 
@@ -210,16 +214,16 @@ METHODS: dict[str, Callable[[Solid, Surface], Field]] = {
 # --------------------------------------------------------------------------------- the same cracks, other meshes
 
 
-def recut(truth: ModalGenerator, fine: Surface) -> Solid:
+def recut(truth: ModalSimulator, fine: Surface) -> Solid:
     """The truth's parts with the same shape in finer faces for their outside: the same lattice, cut again."""
     rng = np.random.default_rng(SEED)
     while True:
-        lattice = _lattice(truth.surface, CELLS, rng)
+        lattice = tilted_lattice(truth.surface, CELLS, rng)
         try:
-            _cut(truth.surface, *lattice)  # the generator's own lattice is the first that can be cut
-        except _DegenerateError:
+            cut_once(truth.surface, *lattice)  # the generator's own lattice is the first that can be cut
+        except DegenerateCut:
             continue
-        cells = _join_slivers(_cut(fine, *lattice))
+        cells = join_slivers(cut_once(fine, *lattice))
         distance, match = cKDTree(truth.cells.centroids).query(cells.centroids)
         if len(cells.volumes) != len(truth.cells.volumes) or distance.max() > 1e-9:
             raise RuntimeError("the finer surface gives other cells")
@@ -371,7 +375,7 @@ def row(
     }
 
 
-def on_mesh(truth: ModalGenerator, labels: IntArray) -> list[dict[str, object]]:
+def on_mesh(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
     name, surface = Path(truth.surface.name).stem, truth.surface
     if geodesic:
         reference = exact(truth.parts, surface, REFERENCE)
@@ -403,7 +407,7 @@ def on_closed_form(name: str, surface: Surface, solids: list[Solid], truths: lis
     return rows
 
 
-def converges(truth: ModalGenerator, labels: IntArray) -> list[dict[str, object]]:
+def converges(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
     """How fields come together as spacing and faces shrink: mean and largest gap to the truth."""
     surface = truth.surface
     nodes = len(split_in_four(surface)[0])
@@ -427,7 +431,7 @@ def converges(truth: ModalGenerator, labels: IntArray) -> list[dict[str, object]
     return rows
 
 
-def resolutions(truth: ModalGenerator, labels: IntArray) -> list[dict[str, object]]:
+def resolutions(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
     """The same fractures on 1, 3 and 9 times the vertices: mean gaps of the field at the vertices they share."""
     base = len(truth.surface.vertices)
     surfaces = [truth.surface, *(with_vertices(truth.surface, k * base) for k in (3, 9))]
@@ -550,7 +554,7 @@ def main() -> None:
     convergence: list[dict] = []
     for name in ("bunny", "chair", "vase"):
         surface = replace(refine(read_surface(MESHES / f"{name}.obj")), name=name)
-        truth = modal_generator(surface, np.random.default_rng(SEED), CELLS)
+        truth = modal_simulator(surface, np.random.default_rng(SEED), CELLS)
         labels = fractures(truth, FRACTURES, np.random.default_rng(SEED + 1))
         rows += on_mesh(truth, labels)
         if name == "bunny":

@@ -13,10 +13,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 import fracsim
-from fracsim.errors import FracsimError, RenderError
-from fracsim.physics.contacts import ContactImpulse
-from fracsim.physics.engine import GRAVITY, Engine, Scene, rotation_of
-from fracsim.physics.world import vector_of
+from fracsim.common.checks import vector_of
+from fracsim.common.errors import FracsimError, RenderError
+from fracsim.physics.bullet import Engine
+from fracsim.physics.impacts import ContactImpulse
+from fracsim.physics.rotations import rotation_of
+from fracsim.physics.scene import GRAVITY, Scene
 
 if TYPE_CHECKING:
     from fracsim import BreakableAsset, Material

@@ -13,7 +13,8 @@ from collections.abc import Callable
 import numpy as np
 
 import fracsim
-from fracsim.physics.engine import Scene, rotation_of
+from fracsim.physics.rotations import rotation_of
+from fracsim.physics.scene import Scene
 
 FPS = 25
 START = 0.3  # s before the hit, where the film begins

@@ -12,7 +12,7 @@ import pybullet as p
 from drop import parser, play, report, save
 
 import fracsim
-from fracsim.physics.engine import Scene
+from fracsim.physics.scene import Scene
 
 
 def main() -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register as _register
 
-from .errors import (
+from .common.errors import (
     AssetError,
     BakeError,
     DatasetError,
@@ -25,31 +25,34 @@ from .errors import (
     PhysicsError,
     RenderError,
 )
-from .impulse import Impulse
+from .common.impulse import Impulse
 
 if TYPE_CHECKING:
-    from .asset import BreakableAsset, Fracture, load
     from .baking import bake
-    from .material import Material
-    from .physics.world import FractureEvent, World
-    from .pieces import Piece
+    from .common.material import Material
+    from .data.dataset import Dataset
+    from .data.writing import make_dataset
+    from .fracture.asset import BreakableAsset, load
+    from .fracture.pieces import Piece
+    from .fracture.result import Fracture
+    from .physics.events import FractureEvent
+    from .physics.world import World
     from .segmentation import segment
-    from .storage import Dataset, make_dataset
 
 __version__ = "0.1.0"
 
 _LAZY = {
-    "BreakableAsset": "asset",
-    "Fracture": "asset",
-    "load": "asset",
+    "BreakableAsset": "fracture.asset",
+    "Fracture": "fracture.result",
+    "load": "fracture.asset",
     "bake": "baking",
-    "Dataset": "storage",
-    "make_dataset": "storage",
-    "Material": "material",
-    "Piece": "pieces",
+    "Dataset": "data.dataset",
+    "make_dataset": "data.writing",
+    "Material": "common.material",
+    "Piece": "fracture.pieces",
     "segment": "segmentation",
     "World": "physics.world",
-    "FractureEvent": "physics.world",
+    "FractureEvent": "physics.events",
 }
 
 __all__ = [

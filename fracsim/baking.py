@@ -9,40 +9,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from .asset import AssetArrays, BreakableAsset, Truth
-from .atoms import Atoms, atoms_for, watch
-from .convex import convex_arrays
-from .dataset import Samples, sample
-from .errors import BakeError, MissingExtraError
-from .fracture_modes import impact_field
-from .generator import Generator, ModalGenerator, TruthOptions, make_generator
-from .impulse import Impulse
-from .material import Material, as_material
-from .mesh import Surface, read_surface, refine
-from .metrics import ACCEPTED, amae, ari
-from .models.base import Body
-from .models.field import field_from_scores
-from .models.fit_field import Field, FieldOptions
-from .models.nearest import Nearest, NearestOptions
-from .pieces import AtomComplex
-from .progress import Stages
-from .sampling import SurfacePoints
-from .solid import surface_parts
-from .train import Run
-from .udf import CAP
+from .common.errors import BakeError, MissingExtraError
+from .common.material import Material, as_material
+from .common.progress import Stages
+from .data.samples import Samples, sample
+from .fracture.arrays import AssetArrays, SimulatorRecord
+from .fracture.asset import BreakableAsset
+from .geometry.complex import AtomComplex
+from .learning.asset_figures import evaluate_asset
+from .learning.atoms import Atoms, atoms_for, observe_fractures
+from .learning.body import BodyGeometry
+from .learning.field import FieldModel, FieldOptions
+from .learning.trainer import Run
+from .metrics import ari
+from .simulators.base import FractureSimulator
+from .simulators.diffusion import impact_field
+from .simulators.modal import ModalSimulator
+from .simulators.registry import SimulatorOptions, make_simulator
+from .solids.convex import convex_arrays
+from .solids.geodesics import CAP
+from .solids.solid import surface_cells
+from .solids.surface import Surface, read_surface, refine
+
+if TYPE_CHECKING:
+    import trimesh
 
 try:
     from threadpoolctl import threadpool_limits
 except ImportError as error:
     raise MissingExtraError("threadpoolctl", "bake") from error
-
-if TYPE_CHECKING:
-    import trimesh
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -70,8 +66,8 @@ class BakeOptions:
         _ = self.truth_options  # checks the truth's name
 
     @property
-    def truth_options(self) -> TruthOptions:
-        return TruthOptions(self.truth, self.cells, self.modes, self.crumb_floor)
+    def truth_options(self) -> SimulatorOptions:
+        return SimulatorOptions(self.truth, self.cells, self.modes, self.crumb_floor)
 
 
 def model_for(truth: str) -> FieldOptions:
@@ -85,7 +81,7 @@ def bake(
     seed: int = 0,
     options: BakeOptions | None = None,
     progress: bool = False,
-    generator: Callable[[Surface], Generator] | None = None,
+    generator: Callable[[Surface], FractureSimulator] | None = None,
 ) -> BreakableAsset:
     """Make a breakable asset of a watertight surface of one component, in metres.
 
@@ -102,22 +98,22 @@ def bake(
         surface = refine(read_surface(source))
         if generator is None:
             kind = options.truth
-            truth = make_generator(surface, options.truth_options, seed, stage)
+            truth = make_simulator(surface, options.truth_options, seed, stage)
         else:
             stage("truth")
             truth = generator(surface)
             kind = type(truth).__name__
         stage("atoms")
-        watched = watch(truth, seed)
+        watched = observe_fractures(truth, seed)
         atoms = atoms_for(truth, watched, options.crumb_floor)
         cells, solid, interfaces = atoms.cells, atoms.parts, atoms.interfaces
         stage("impact")
-        rows = truth.rows if isinstance(truth, ModalGenerator) else impact_field(cells, atoms.atom, surface.vertices)
-        body = Body.of(surface, atoms, stage.ticker("distances"))
+        rows = truth.rows if isinstance(truth, ModalSimulator) else impact_field(cells, atoms.atom, surface.vertices)
+        body = BodyGeometry.of(surface, atoms, stage.ticker("distances"))
         tick = stage.ticker("samples")
         samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
         tick = stage.ticker("training")
-        model, figures = Field.fit(body, samples, options.model or model_for(kind), seed, Run(progress=tick))
+        model, figures = FieldModel.fit(body, samples, options.model or model_for(kind), seed, Run(progress=tick))
         complex_ = AtomComplex(solid.points, solid.triangles, solid.sides)
         convex = convex_arrays(
             complex_, (surface.vertices, surface.faces), interfaces.pairs, interfaces.normals, stage.ticker
@@ -162,7 +158,7 @@ def bake(
             "test": test,
         }
     )
-    if isinstance(truth, ModalGenerator):
+    if isinstance(truth, ModalSimulator):
         asset.metadata["mode_energies"] = [history[-1] for history in truth.energies]
     return asset
 
@@ -178,84 +174,21 @@ def remake_convex(asset: BreakableAsset) -> BreakableAsset:
     return replace(asset, arrays=arrays, metadata=metadata)
 
 
-def _truth(kind: str, samples: Samples) -> Truth:
+def _truth(kind: str, samples: Samples) -> SimulatorRecord:
     train = samples.part(0)
     total = train.severities.sum(axis=1)
     broke = train.labels.any(axis=1)
     if not broke.any():
         raise BakeError("no training impulse breaks the body; its truth has nothing to teach")
     single = train.kind == 0
-    return Truth(kind, 0.5 * float(total[broke].min()), float(np.median((total / train.ratio)[single])))
+    return SimulatorRecord(kind, 0.5 * float(total[broke].min()), float(np.median((total / train.ratio)[single])))
 
 
-def _atoms_ari(truth: Generator, atoms: Atoms, block: Samples) -> float:
+def _atoms_ari(truth: FractureSimulator, atoms: Atoms, block: Samples) -> float:
     """How well atoms can say what a truth that cuts freely does: mean ARI at the vertices over a block's held-out
     fractures."""
     held_out = block.rows((block.split != 0) & block.labels.any(axis=1))
     count = len(truth.surface.vertices)
-    vertex_cell, vertex_atom = surface_parts(truth.parts, count), surface_parts(atoms.parts, count)
+    vertex_cell, vertex_atom = surface_cells(truth.parts, count), surface_cells(atoms.parts, count)
     rows = zip(held_out.labels[:, vertex_cell], atoms.project(held_out).labels[:, vertex_atom], strict=True)
     return float(np.mean([ari(free, built) for free, built in rows]))
-
-
-def evaluate_asset(
-    asset: BreakableAsset,
-    body: Body,
-    samples: Samples,
-    most: int,
-    progress: Callable[[float], None] = lambda _: None,
-) -> dict[str, float]:
-    """Figures of the asset's default predictor on held-out impulses, beside the nearest training impulse.
-
-    Of at most ``most`` test samples. ARI, acceptance and AMAE are means over the impulses that truly break;
-    whether it breaks at all is scored apart, as balanced accuracy.
-    """
-    test = samples.part(2)
-    count = min(most, len(test))
-    nearest = Nearest.fit(body, samples, NearestOptions(), 0)[0].predict_labels(test.rows(slice(count)).blows)
-    points = SurfacePoints(asset.vertices, asset.faces)
-    unit = asset.mass * asset.material.breaking_velocity
-    vertex_atom, pairs, distances = asset.arrays.vertex_atom, asset.arrays.pairs, asset.arrays.distances
-    rows: list[tuple[float, ...]] = []
-    broke = np.zeros((count, 3), dtype=bool)  # truly, predicted, nearest
-    for k in range(count):
-        there = np.flatnonzero(test.severities[k])
-        where = points.at(test.faces[k, there], test.barycentric[k, there])
-        blow = zip(where, test.directions[k, there], test.severities[k, there] * unit, strict=True)
-        # The gate is made from the truth; a model is judged by its own answers.
-        fracture = asset._fracture([Impulse(*values) for values in blow], "field", gated=False)
-        broke[k] = test.labels[k].any(), fracture.broken, nearest[k].any()
-        if broke[k, 0]:
-            truth = test.labels[k][vertex_atom]
-            parted = (test.labels[k][pairs[:, 0]] != test.labels[k][pairs[:, 1]]).astype(np.float64)
-            truth_field = field_from_scores(parted, distances, asset.cap)
-            rows.append(
-                (
-                    ari(truth, fracture.labels),
-                    ari(truth, nearest[k][vertex_atom]),
-                    amae(truth_field, fracture.udf / asset.scale),
-                    ari(truth, asset.fracture_from_field(truth_field * asset.scale).labels),
-                    float(sum(fracture.timings.values())),
-                )
-            )
-        progress((k + 1) / count)
-    table = np.array(rows)
-
-    def balanced(column: int) -> float:
-        right = broke[:, column] == broke[:, 0]
-        return float(0.5 * (right[broke[:, 0]].mean() + right[~broke[:, 0]].mean()))
-
-    return {
-        "impulses": count,
-        "breaking": len(rows),
-        "ari": float(table[:, 0].mean()),
-        "ari_nearest_impulse": float(table[:, 1].mean()),
-        "ari_of_the_true_field": float(table[:, 3].mean()),
-        "accepted": float((table[:, 0] >= ACCEPTED).mean()),
-        "accepted_nearest_impulse": float((table[:, 1] >= ACCEPTED).mean()),
-        "amae": float(table[:, 2].mean()),
-        "balanced_accuracy": balanced(1),
-        "balanced_accuracy_nearest_impulse": balanced(2),
-        "ms_median": float(np.median(table[:, 4])),
-        "ms_p99": float(np.quantile(table[:, 4], 0.99)),
-    }

@@ -7,10 +7,8 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from .errors import FieldError, MissingExtraError
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from .common.arrays import FloatArray, IntArray
+from .common.errors import FieldError, MissingExtraError
 
 ALPHA = 10.0  # of AMAE, for fields in units of the largest extent
 ACCEPTED = 0.7

@@ -9,11 +9,11 @@ import trimesh
 
 import fracsim
 from fracsim.baking import BakeOptions
-from fracsim.generator import TruthOptions
-from fracsim.mesh import read_surface
-from fracsim.models.fit_field import FieldOptions
-from fracsim.storage import make_dataset
-from fracsim.train import TrainingOptions
+from fracsim.data.writing import make_dataset
+from fracsim.learning.field import FieldOptions
+from fracsim.learning.options import TrainingOptions
+from fracsim.simulators.registry import SimulatorOptions
+from fracsim.solids.surface import read_surface
 
 SHIPPED = ("bunny", "chair", "vase")
 LEARNING = TrainingOptions("adamw", 3e-3, 1e-3, "cosine", batch=256, steps=300)
@@ -50,7 +50,7 @@ def crate():
     """A box of eight vertices, baked from a truth that cuts freely into an asset of a few atoms."""
     options = replace(QUICK, truth="radial", cells=400, model=replace(QUICK.model, response=True))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fracsim.atoms.OBSERVED", 8)
+        patch.setattr("fracsim.learning.atoms.OBSERVED", 8)
         return fracsim.bake(trimesh.creation.box((0.3, 0.2, 0.1)), options=options)
 
 
@@ -59,5 +59,5 @@ def torus_dataset(tmp_path_factory):
     """A file of 800 fractures of a small torus, for what learns from datasets."""
     surface = read_surface(trimesh.creation.torus(0.5, 0.2, major_sections=24, minor_sections=12))
     path = tmp_path_factory.mktemp("torus") / "torus.h5"
-    make_dataset(path, surface, 800, 1, TruthOptions(cells=800, modes=5))
+    make_dataset(path, surface, 800, 1, SimulatorOptions(cells=800, modes=5))
     return path

@@ -12,11 +12,12 @@ import trimesh
 from conftest import QUICK
 
 import fracsim
-from fracsim.asset import AssetArrays
-from fracsim.cli import main
-from fracsim.dataset import CONTACTS, sample
-from fracsim.generator import modal_generator
-from fracsim.mesh import read_surface
+from fracsim.cli.main import main
+from fracsim.data.impacts import CONTACTS
+from fracsim.data.samples import sample
+from fracsim.fracture.arrays import AssetArrays
+from fracsim.simulators.modal import modal_simulator
+from fracsim.solids.surface import read_surface
 
 
 def test_a_users_own_mesh_bakes_and_breaks(slab, slab_mesh):
@@ -59,7 +60,7 @@ def test_one_seed_gives_one_asset(slab, slab_mesh):
 @pytest.fixture(scope="module")
 def samples(slab):
     surface = read_surface(trimesh.Trimesh(slab.vertices, slab.faces, process=False))
-    return surface, sample(modal_generator(surface, np.random.default_rng(0), 800, 5), 4000, 0)
+    return surface, sample(modal_simulator(surface, np.random.default_rng(0), 800, 5), 4000, 0)
 
 
 def test_samples_break_exactly_from_their_own_threshold_on(samples):
@@ -159,7 +160,7 @@ def test_an_interrupted_bake_leaves_no_file(tmp_path, monkeypatch, capsys):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("fracsim.generator.cut_lattice", interrupt)
+    monkeypatch.setattr("fracsim.simulators.modal.cut_lattice", interrupt)
     assert main(["bake", str(mesh), "--out", str(tmp_path / "b.frac"), "--quiet"]) == 130
     assert "nothing was written" in capsys.readouterr().err
     assert [entry.name for entry in tmp_path.iterdir()] == ["box.obj"]

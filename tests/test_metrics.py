@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from fracsim import metrics
-from fracsim.errors import FieldError
+from fracsim.common.errors import FieldError
 
 LINE = np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], axis=1)
 CHAIN = np.array([[0, 1], [1, 2], [2, 3], [3, 4]])

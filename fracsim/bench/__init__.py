@@ -36,7 +36,7 @@ def run(name: str, quick: bool, seed: int, out: Path | None, progress: Callable[
     if out is not None:
         import json
 
-        from ..asset import write_beside
+        from ..common.files import write_beside
 
         out.mkdir(exist_ok=True)
         write_beside(out / f"runtime_{name}.json", (json.dumps(figures, indent=1) + "\n").encode())

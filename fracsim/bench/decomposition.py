@@ -13,16 +13,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pybullet as p
 from scipy.spatial import ConvexHull, cKDTree
 
-from ..asset import BreakableAsset, Fracture, load
-from ..convex import GAP, clip_apart, coacd_parts
-from ..errors import BakeError, MissingExtraError
+from ..common.arrays import FloatArray
+from ..common.errors import BakeError, MissingExtraError
+from ..fracture.asset import BreakableAsset, load
+from ..fracture.pieces import ConvexParts
+from ..fracture.result import Fracture
 from ..physics.bodies import Pose, spawn
-from ..physics.engine import Engine, Surface
-from ..pieces import Parts
+from ..physics.bullet import Engine
+from ..physics.states import ContactProperties
+from ..solids.convex import clip_apart
+from ..solids.convex_partition import GAP
+from ..solids.hulls import coacd_parts
 
 try:
     import manifold3d
@@ -30,7 +34,6 @@ try:
 except ImportError as error:
     raise MissingExtraError(str(error.name), "bake") from error
 
-FloatArray = npt.NDArray[np.float64]
 Bodies = list[list[FloatArray]]  # the points of each convex part of each piece
 
 MESHES = ("bunny", "chair", "vase")
@@ -157,12 +160,12 @@ def _hausdorff(first: manifold3d.Manifold, second: manifold3d.Manifold, seed: in
 
 def _ghost(asset: BreakableAsset, fracture: Fracture, bodies: Sequence[Sequence[FloatArray]]) -> float:
     """m/s, the fastest piece after one second in which nothing acts on them."""
-    pieces = [replace(piece, parts=Parts.of(parts)) for piece, parts in zip(fracture.pieces, bodies, strict=True)]
+    pieces = [replace(piece, parts=ConvexParts.of(parts)) for piece, parts in zip(fracture.pieces, bodies, strict=True)]
     client = p.connect(p.DIRECT)
     try:
         engine = Engine(client)
         still = Pose(np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
-        spawned = spawn(engine, pieces, still, Surface(0.5, 0.0, margin=GAP / 3 * asset.size), None)
+        spawned = spawn(engine, pieces, still, ContactProperties(0.5, 0.0, margin=GAP / 3 * asset.size), None)
         for _ in range(STEPS):
             engine.step()
         return float(max(np.linalg.norm(engine.motion(body.id)[0]) for body in spawned))

@@ -19,7 +19,7 @@ import numpy.typing as npt
 import pybullet as p
 import pybullet_data
 
-from ..asset import BreakableAsset, load
+from ..fracture.asset import BreakableAsset, load
 from ..physics.world import World
 
 RATE = 240  # Hz

@@ -18,11 +18,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..asset import BreakableAsset, load
-
-FloatArray = npt.NDArray[np.float64]
+from ..fracture.asset import BreakableAsset, load
 
 MESHES = ("bunny", "chair", "vase", "bunny 9x")
 SIZE = 0.3  # m
@@ -95,8 +92,8 @@ def thesis(count: int, seed: int) -> dict[str, Any]:
     """ms of the thesis's pipeline on the bunny: perceptron (untrained: its weights cost no time), then watershed."""
     import torch
 
-    from ..models.mlp import Perceptron
-    from ..segmentation import SurfaceGraph
+    from ..learning.mlp import Perceptron
+    from ..segmentation.graph import SurfaceGraph
     from ..segmentation.reference import REFERENCES, prepare
     from ..segmentation.watershed import THRESHOLD
 
@@ -125,7 +122,7 @@ def thesis(count: int, seed: int) -> dict[str, Any]:
 def _fine_bunny(folder: Path) -> Path:
     """The bunny with every face split in three twice, some 30,000 vertices, baked: a few minutes, once a folder."""
     from ..baking import BakeOptions, bake, model_for
-    from ..mesh import read_surface, split_faces
+    from ..solids.surface import read_surface, split_faces
 
     path = folder / "bunny_9x.frac"
     if not path.exists():

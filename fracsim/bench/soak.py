@@ -19,7 +19,7 @@ import numpy as np
 import pybullet as p
 from scipy.stats import theilslopes
 
-from ..asset import BreakableAsset, load
+from ..fracture.asset import BreakableAsset, load
 from ..physics.world import World
 
 SIZE = 0.3  # m

@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 import pybullet as p
 
-from ..asset import BreakableAsset, load
+from ..common.arrays import FloatArray
+from ..fracture.asset import BreakableAsset, load
 from ..metrics import ari
-from ..physics.world import FractureEvent, World
-
-FloatArray = npt.NDArray[np.float64]
+from ..physics.events import FractureEvent
+from ..physics.world import World
 
 # How many times as strong as it is: so weak a thing as the chair would break from where a fall is hardly a hit.
 STRENGTH = {"bunny": 2.5, "chair": 8.0, "vase": 1.0}

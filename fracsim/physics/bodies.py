@@ -7,20 +7,18 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ..pieces import Parts
-from .engine import Engine, Motion, Placement, Surface, rotation_of
+from ..common.arrays import FloatArray, IntArray
+from ..fracture.pieces import ConvexParts
+from .bullet import Engine
+from .rotations import cross, rotation_of
+from .states import ContactProperties, Motion, Placement
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Color = tuple[float, float, float, float]
 
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
-
-GLAZE: Color = (0.93, 0.89, 0.81, 1.0)  # an unbroken object
-SHARDS: tuple[Color, ...] = (
+WHOLE_COLOUR: Color = (0.93, 0.89, 0.81, 1.0)  # an unbroken object
+PIECE_COLOURS: tuple[Color, ...] = (
     (0.91, 0.81, 0.66, 1.0),
     (0.79, 0.60, 0.48, 1.0),
     (0.70, 0.77, 0.72, 1.0),
@@ -32,7 +30,7 @@ SHARDS: tuple[Color, ...] = (
 )
 
 
-class Solid(Protocol):
+class RigidSolid(Protocol):
     """What both an asset and a piece are: a closed surface with mass properties and convex parts."""
 
     @property
@@ -46,7 +44,7 @@ class Solid(Protocol):
     @property
     def inertia(self) -> FloatArray: ...
     @property
-    def parts(self) -> Parts: ...
+    def parts(self) -> ConvexParts: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +82,9 @@ class Body:
 
 def spawn(
     engine: Engine,
-    solids: Sequence[Solid],
+    solids: Sequence[RigidSolid],
     pose: Pose,
-    surface: Surface,
+    surface: ContactProperties,
     colors: Sequence[Color] | None,
     heavier: float = 1.0,
 ) -> list[Body]:
@@ -118,13 +116,3 @@ def spawn(
         body = engine.create(parts, frame, mass, moments[k].tolist(), place, motion, surface, visual)
         bodies.append(Body(body, engine.mark(body), mass, centers[k], axes[k], moments[k]))
     return bodies
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products (..., 3), as numpy's but for the checks, which take ten times the sums of a few rows."""
-    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
-
-
-def quaternion_of(rotation: FloatArray) -> FloatArray:
-    """Rotation matrix (3, 3) -> unit quaternion (x, y, z, w)."""
-    return np.asarray(Rotation.from_matrix(rotation).as_quat())

@@ -10,13 +10,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from .bodies import Body, cross
-from .engine import Engine, Gone, Motion, Triple, rotation_of
-
-FloatArray = npt.NDArray[np.float64]
+from ..common.arrays import FloatArray
+from .bodies import Body
+from .bullet import Engine
+from .rotations import cross, rotation_of
+from .states import BodyNotFound, Motion, Triple
 
 FAST = 0.05  # 1/s, the ω² dt from which a body's spin is held
 TURN = 1.0  # rad a step: what would turn further is slowed down to it; no step of any kind resolves that
@@ -32,7 +32,7 @@ class _Spinner:
     still: bool = False
 
 
-class Spin:
+class GyroscopicCorrection:
     """The bodies whose spin is held."""
 
     def __init__(self, engine: Engine) -> None:
@@ -71,7 +71,7 @@ class Spin:
                 continue
             try:
                 linear, angular = engine.motion(key)
-            except Gone:
+            except BodyNotFound:
                 del self._all[key]
                 continue
             x, y, z = angular

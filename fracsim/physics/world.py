@@ -4,29 +4,35 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from ..errors import PhysicsError
-from ..impulse import Impulse, as_impulses
-from .bodies import GLAZE, SHARDS, Body, Pose, quaternion_of, spawn
-from .contacts import CHAIN, LOAD, ContactImpulse, gate, loads, predict
-from .engine import Engine, Gone, Motion, State, Surface, Touches, Triple, rotation_of
-from .refine import WAYS, Refinement, refined_now, require
-from .spin import Spin
-from .swap import COOLING, PARTING, Cooling, CrackEnergy, Parting, Rigids, cool, hand_over, island, undone
-from .watch import Watch, Watched
+from ..common.arrays import FloatArray
+from ..common.checks import Vector, at_least, finite_vector, is_number
+from ..common.errors import PhysicsError
+from ..common.impulse import Impulse, as_impulses
+from .activity import Activity
+from .bodies import PIECE_COLOURS, WHOLE_COLOUR, Body, Pose, spawn
+from .bullet import Engine
+from .energy import DISSIPATION_TIME, GUARD_TIME, CrackEnergy, Dissipation, PenetrationGuard, RigidStates, dissipate
+from .events import FractureEvent
+from .impact_solver import IMPACT_WINDOW
+from .impacts import LOAD_DURATION, ContactImpulse, impact_speed_threshold, predict_impacts, sustained_impulses
+from .live_convex import DECOMPOSITIONS, Refinement, refined_now, require_decomposition
+from .records import BodyRecord
+from .replacement import contact_island, transfer_constraint, velocity_before_step
+from .rotations import quaternion_of, rotation_of
+from .spin import GyroscopicCorrection
+from .states import BodyNotFound, ContactProperties, Motion, State, Touches, Triple
 
 if TYPE_CHECKING:
-    from ..asset import BreakableAsset, Fracture, Fragment
-    from ..pieces import Piece
+    from ..fracture.asset import BreakableAsset, BreakablePiece
+    from ..fracture.pieces import Piece
+    from ..fracture.result import Fracture
 
-FloatArray = npt.NDArray[np.float64]
-Vector = Sequence[float] | FloatArray
 ContactCallback = Callable[[ContactImpulse], object]
 
 _MARGIN = 5e-4  # of the size; the gap between the convex parts of two pieces is 1.5e-3
@@ -35,41 +41,11 @@ _CLOCK = 8  # steps in which a change of the time step or of gravity is noticed 
 _AFTER = 0.02  # s for which nothing that was in a break may break its pieces: that blow is counted
 
 
-@dataclass(frozen=True, eq=False)
-class FractureEvent:
-    """A body that broke, or held when it was told to break.
-
-    parent: its id, gone from the engine unless `children` is empty.
-    children: the ids of the pieces, in the order of fracture.pieces; () when it did not break. A ``budget`` may have
-    removed some again.
-    impulses: what it was hit with, in the asset's frame, strongest first.
-    fracture: the model's answer, whole when it had none that made sense. time: s, simulated by this world.
-    timings: ms of each stage: impulse (contacts to impulses), fracture (model to pieces), bodies (the swap).
-    energy: what its cracks take and have taken so far. generation: 0 for a body that was added, 1 for its pieces.
-    constraints: those that held it, by their ids before and now that they hold pieces.
-    """
-
-    parent: int
-    children: tuple[int, ...]
-    impulses: tuple[Impulse, ...]
-    fracture: Fracture
-    time: float
-    timings: dict[str, float]
-    energy: CrackEnergy = field(default_factory=lambda: CrackEnergy(0.0))
-    generation: int = 0
-    constraints: dict[int, int] = field(default_factory=dict)
-
-    @property
-    def impulse(self) -> Impulse:
-        """The strongest impulse."""
-        return self.impulses[0]
-
-
 @dataclass(eq=False)
 class _Break:
     """A body that is to be broken."""
 
-    record: Watched
+    record: BodyRecord
     impulses: tuple[Impulse, ...]
     fracture: Fracture
     others: frozenset[int]
@@ -116,29 +92,29 @@ class World:
         self._engine = Engine(client)
         self.client = self._engine.client
         self.visuals = self._engine.has_window if visuals is None else visuals
-        self.generations = int(_at_least(generations, 1, "generations"))
-        self.smallest = _at_least(smallest, 0.0, "smallest")
-        self.budget = None if budget is None else int(_at_least(budget, 0, "budget"))
-        self.fatigue = None if fatigue is None else _at_least(fatigue, 1.0, "fatigue")
-        if decomposition not in WAYS:
-            raise PhysicsError(f"unknown decomposition {decomposition!r}; use one of {', '.join(WAYS)}")
+        self.generations = int(at_least(generations, 1, "generations"))
+        self.smallest = at_least(smallest, 0.0, "smallest")
+        self.budget = None if budget is None else int(at_least(budget, 0, "budget"))
+        self.fatigue = None if fatigue is None else at_least(fatigue, 1.0, "fatigue")
+        if decomposition not in DECOMPOSITIONS:
+            raise PhysicsError(f"unknown decomposition {decomposition!r}; use one of {', '.join(DECOMPOSITIONS)}")
         if decomposition != "baked":
-            require()
+            require_decomposition()
         self.decomposition = decomposition
-        self.refine_after = _at_least(refine_after, 0.0, "refine_after")
+        self.refine_after = at_least(refine_after, 0.0, "refine_after")
         self._refining: list[Refinement] = []
-        self._watch = Watch(self._engine)
+        self._watch = Activity(self._engine)
         self._pieces: dict[int, Body] = {}
         self._damping: dict[int, tuple[float, float]] = {}  # of the pieces; the engine does not tell
-        self._spin = Spin(self._engine)
+        self._spin = GyroscopicCorrection(self._engine)
         self._callbacks: list[ContactCallback] = []
-        self._cooling: list[Cooling] = []
-        self._parting: list[Parting] = []
+        self._cooling: list[Dissipation] = []
+        self._parting: list[PenetrationGuard] = []
         self._told: frozenset[tuple[int, int]] = frozenset()  # hits that are relived in the step to come
         self._warned: set[tuple[str, str]] = set()
         self._renamed: dict[int, int] = {}  # constraints handed over
         self._dt, self._gravity = self._engine.clock()
-        self._least = gate(self._dt, self._gravity)
+        self._least = impact_speed_threshold(self._dt, self._gravity)
         self._time, self._steps = 0.0, 0  # s, and the steps since
         self._touches: Touches | None = None  # of the last step, once somebody asked
         self._motions: dict[tuple[int, int], Motion] = {}  # before it
@@ -182,23 +158,23 @@ class World:
         self._engine.require_connection()
         if not hasattr(asset, "scaled"):
             raise PhysicsError(f"add takes an asset, as fracsim.load gives it, not {asset!r}")
-        if not _is_number(scale) or scale <= 0.0:
+        if not is_number(scale) or scale <= 0.0:
             raise PhysicsError(f"scale must be a positive number, got {scale!r}")
         if scale != 1.0:
             asset = asset.scaled(scale)
-        quaternion = _vector(orientation, "orientation", 4)
+        quaternion = finite_vector(orientation, "orientation", 4)
         if not quaternion.any():
             raise PhysicsError("orientation is the zero quaternion; no rotation is (0, 0, 0, 1)")
         rotation = rotation_of((quaternion / np.linalg.norm(quaternion)).tolist())
-        angular = _vector(angular_velocity, "angular_velocity", 3)
-        linear = _vector(linear_velocity, "linear_velocity", 3)
+        angular = finite_vector(angular_velocity, "angular_velocity", 3)
+        linear = finite_vector(linear_velocity, "linear_velocity", 3)
         linear = linear - np.cross(angular, rotation @ asset.center_of_mass)
-        pose = Pose(_vector(position, "position", 3), rotation, linear, angular)
+        pose = Pose(finite_vector(position, "position", 3), rotation, linear, angular)
         damping = (
-            _at_least(linear_damping, 0.0, "linear_damping"),
-            _at_least(angular_damping, 0.0, "angular_damping"),
+            at_least(linear_damping, 0.0, "linear_damping"),
+            at_least(angular_damping, 0.0, "angular_damping"),
         )
-        surface = Surface(
+        surface = ContactProperties(
             friction=getattr(asset.material, "friction", 0.5),
             restitution=getattr(asset.material, "restitution", 0.1),
             margin=_MARGIN * asset.size,
@@ -209,9 +185,9 @@ class World:
             asset.prepare()
         except Exception as error:  # the same as when it is to break
             self._warn(asset, error)
-        [body] = spawn(self._engine, [asset], pose, surface, [GLAZE] if self.visuals else None)
+        [body] = spawn(self._engine, [asset], pose, surface, [WHOLE_COLOUR] if self.visuals else None)
         self._forget(body.id)  # what somebody removed, and whose id this is now
-        self._watch.add(Watched(body, asset, damping, asset.reach, asset.bearable_impulse / LOAD))
+        self._watch.add(BodyRecord(body, asset, damping, asset.reach, asset.bearable_impulse / LOAD_DURATION))
         return body.id
 
     def remove(self, body: int) -> None:
@@ -277,7 +253,7 @@ class World:
         engine, watch = self._engine, self._watch
         try:
             engine.step()
-        except Gone:
+        except BodyNotFound:
             engine.require_connection()
             raise
         self._steps += 1
@@ -301,7 +277,7 @@ class World:
         watch = self._watch
         try:
             suspects = watch.look(self._dt, self._gravity, self._least)
-        except Gone:
+        except BodyNotFound:
             self._forget_removed()
             return []
         if not suspects and watch.loaded:
@@ -323,7 +299,7 @@ class World:
         known = self._dt, self._gravity
         self._dt, self._gravity = self._engine.clock()
         if (self._dt, self._gravity) != known:
-            self._least = gate(self._dt, self._gravity)
+            self._least = impact_speed_threshold(self._dt, self._gravity)
             self._watch.wake_all()
 
     def fracture(self, body: int, impulse: Impulse | Sequence[Impulse]) -> FractureEvent:
@@ -352,7 +328,7 @@ class World:
 
     # From contacts to what breaks
 
-    def _judge(self, suspects: list[Watched], told: frozenset[tuple[int, int]]) -> list[FractureEvent]:
+    def _judge(self, suspects: list[BodyRecord], told: frozenset[tuple[int, int]]) -> list[FractureEvent]:
         struck = []
         queue, done = list(suspects), set()
         pressed = [record for record in suspects if record.loaded]
@@ -396,7 +372,7 @@ class World:
         self._save()
         return events
 
-    def _is_spared(self, record: Watched) -> bool:
+    def _is_spared(self, record: BodyRecord) -> bool:
         """Whether all that touches a body was in the break that it came of, and neither may break the other yet."""
         if self.time >= record.immune_until:
             return False
@@ -409,20 +385,20 @@ class World:
                 return False
         return True
 
-    def _hits_on(self, record: Watched, loaded: bool) -> list[ContactImpulse]:
+    def _hits_on(self, record: BodyRecord, loaded: bool) -> list[ContactImpulse]:
         engine, body = self._engine, record.body
         contacts = record.lightest if loaded else self._watch.touching(body.id)
         if contacts is None:
             return []
         placement = engine.placement_before(body.id, self._dt)
         if loaded:
-            return loads(engine, body, contacts, placement, self._gravity)
-        return predict(engine, body, contacts, placement, self._motion_before, self._dt, self._gravity)
+            return sustained_impulses(engine, body, contacts, placement, self._gravity)
+        return predict_impacts(engine, body, contacts, placement, self._motion_before, self._dt, self._gravity)
 
-    def _try(self, record: Watched, hits: list[ContactImpulse], elapsed: float) -> _Break | None:
+    def _try(self, record: BodyRecord, hits: list[ContactImpulse], elapsed: float) -> _Break | None:
         """Whether the hits, one after the other and with those just before, break the body."""
         target = record.target
-        record.hits = earlier = [(when, hit) for when, hit in record.hits if when > self.time - CHAIN]
+        record.hits = earlier = [(when, hit) for when, hit in record.hits if when > self.time - IMPACT_WINDOW]
         strongest = 0.0  # of those that come together and are no repetitions
         start = perf_counter()
         for k, hit in enumerate(hits):
@@ -452,14 +428,14 @@ class World:
             self._tire(record)
         return None
 
-    def _worn(self, record: Watched, impulses: list[Impulse]) -> list[Impulse]:
+    def _worn(self, record: BodyRecord, impulses: list[Impulse]) -> list[Impulse]:
         """The impulses as they act on a body that blows have weakened."""
         if record.damage == 0.0:
             return impulses
         left = max(1.0 - record.damage, 1e-6)
         return [Impulse(one.point, one.direction, one.magnitude / left) for one in impulses]
 
-    def _tire(self, record: Watched) -> None:
+    def _tire(self, record: BodyRecord) -> None:
         """Add what the hits of this step that broke nothing did (Miner's rule), once each."""
         impulses = [hit.impulse for when, hit in record.hits if when >= self.time and not hit.sustained]
         if not impulses or self.fatigue is None:
@@ -473,14 +449,14 @@ class World:
         record.tired = self.time, record.damage
         record.damage = min(1.0, record.damage + high**-self.fatigue)
 
-    def _breaks(self, record: Watched, impulses: Sequence[Impulse], factor: float) -> bool:
+    def _breaks(self, record: BodyRecord, impulses: Sequence[Impulse], factor: float) -> bool:
         blows = tuple(Impulse(one.point, one.direction, one.magnitude * factor) for one in impulses)
         if not record.target.may_break(blows):
             return False
         fracture = self._ask(record, blows)
         return fracture is not None and len(fracture.pieces) > 1
 
-    def _ask(self, record: Watched, impulses: tuple[Impulse, ...]) -> Fracture | None:
+    def _ask(self, record: BodyRecord, impulses: tuple[Impulse, ...]) -> Fracture | None:
         """The model's answer; None, and one warning for each model, when it has none that makes sense."""
         try:
             return record.target.fracture(impulses)
@@ -488,7 +464,7 @@ class World:
             self._warn(record.target, error)
             return None
 
-    def _warn(self, target: BreakableAsset | Fragment, error: Exception) -> None:
+    def _warn(self, target: BreakableAsset | BreakablePiece, error: Exception) -> None:
         """Say once of a model that it fails."""
         what = target.name, f"{type(error).__name__}: {error}"
         if what not in self._warned:
@@ -511,7 +487,7 @@ class World:
             return self._engine.motion(body)
         if kept is not None and self._tied(body):
             return kept
-        told = undone(
+        told = velocity_before_step(
             self._engine,
             body,
             self._engine.placement_before(body, self._dt),
@@ -546,7 +522,7 @@ class World:
         start = perf_counter()
         ties = [(info[0], info[2]) for _, info in engine.constraints() if info[2] >= 0]
         broken = {one.record.body.id: one for one in breaks}
-        reached = island([*self._all_touches().bodies.tolist(), *ties], broken, engine.is_static)
+        reached = contact_island([*self._all_touches().bodies.tolist(), *ties], broken, engine.is_static)
         states = {
             body: engine.state_before(body, self._motion_before(body, -1), watch.rates_before(body), dt)
             for body in reached
@@ -581,7 +557,7 @@ class World:
 
     def _parting_of(
         self, breaks: list[_Break], events: list[FractureEvent], others: list[int], states: dict[int, State]
-    ) -> Parting:
+    ) -> PenetrationGuard:
         """Of the pieces of some breaks, and what they shall live the step with."""
         pieces: list[Body] = []
         before: list[Body] = []  # whose energy the pieces have
@@ -595,17 +571,17 @@ class World:
             rigid = self._engine.rigid(other, -1)
             rest.append(Body(other, "", rigid.mass, np.zeros(3), np.eye(3), rigid.moments))
         known = [states[body.id] for body in (*before, *rest)]
-        then = Rigids.of([*before, *rest], [one.placement for one in known], [one.motion for one in known])
-        return Parting([*pieces, *rest], then.energy(self._gravity), self.time + PARTING)
+        then = RigidStates.of([*before, *rest], [one.placement for one in known], [one.motion for one in known])
+        return PenetrationGuard([*pieces, *rest], then.energy(self._gravity), self.time + GUARD_TIME)
 
-    def _part(self, those: Sequence[Parting]) -> None:
+    def _part(self, those: Sequence[PenetrationGuard]) -> None:
         """Take what energy pieces have made by getting out of each other."""
         for one in those:
             if one not in self._parting:  # they live the step anew
                 continue
             try:
                 motions = one.stills(self._engine, self._gravity)
-            except Gone:
+            except BodyNotFound:
                 self._forget_removed()
                 motions, one.until = None, 0.0
             if motions is not None:
@@ -628,9 +604,11 @@ class World:
             solids = refined_now(asset, solids)
         # Somebody may have given the body another mass; a static one's pieces have what its material makes them.
         heavier = (engine.mass(parent.id) or parent.mass) / parent.mass
-        pieces = spawn(engine, solids, pose, surface, SHARDS if self.visuals else None, heavier)
+        pieces = spawn(engine, solids, pose, surface, PIECE_COLOURS if self.visuals else None, heavier)
         parts = [piece.parts for piece in solids]
-        renamed = {tie[0]: self._rename(tie[0], hand_over(engine, tie, parent, pieces, parts)) for tie in ties}
+        renamed = {
+            tie[0]: self._rename(tie[0], transfer_constraint(engine, tie, parent, pieces, parts)) for tie in ties
+        }
         engine.remove(parent.id)  # after the pieces, so that none of them gets its id
         self._watch.drop(parent.id)
         self._watch.own.pop(parent.id, None)
@@ -645,8 +623,8 @@ class World:
             if generation < self.generations and len(solid.atoms) > 1:
                 fragment = record.target.fragment(solid)
                 if fragment.domain.share >= self.smallest:
-                    bearable = fragment.bearable_impulse / LOAD
-                    watched = Watched(piece, fragment, record.damping, fragment.reach, bearable, generation)
+                    bearable = fragment.bearable_impulse / LOAD_DURATION
+                    watched = BodyRecord(piece, fragment, record.damping, fragment.reach, bearable, generation)
                     watched.immune, watched.immune_until = immune, self.time + _AFTER
                     self._watch.add(watched)
         self._pieces.pop(parent.id, None)
@@ -656,7 +634,7 @@ class World:
         self._spin.drop(parent.id)
         self._spin.add(pieces, state.motion[1])
         energy = CrackEnergy(record.target.material.fracture_energy * fracture.crack_area)
-        self._cooling.append(Cooling(energy, pieces, self.time + COOLING))
+        self._cooling.append(Dissipation(energy, pieces, self.time + DISSIPATION_TIME))
         timings = what.timings
         timings["bodies"] += 1e3 * (perf_counter() - start)
         return FractureEvent(
@@ -668,7 +646,7 @@ class World:
         self._renamed[constraint] = new
         return new
 
-    def _cool(self, those: Sequence[Cooling]) -> None:
+    def _cool(self, those: Sequence[Dissipation]) -> None:
         """Let cracks take their energy from how their pieces have come to move."""
         for one in those:
             one.pieces = [
@@ -681,8 +659,8 @@ class World:
                 self._cooling.remove(one)
                 continue
             try:
-                taken, motions = cool(self._engine, one.pieces, demand)
-            except Gone:
+                taken, motions = dissipate(self._engine, one.pieces, demand)
+            except BodyNotFound:
                 self._forget_removed()
                 continue
             one.energy.taken += taken
@@ -711,7 +689,7 @@ class World:
         for constraint, _ in ties:
             engine.untie(constraint)
         engine.remove(old.id)
-        colors = [SHARDS[index % len(SHARDS)]] if self.visuals else None
+        colors = [PIECE_COLOURS[index % len(PIECE_COLOURS)]] if self.visuals else None
         [body] = spawn(engine, [solid], pose, surface, colors)
         if body.id != old.id:  # the engine hands out the id that was freed last
             raise PhysicsError(f"piece {old.id} came back as {body.id}; use decomposition='baked'")
@@ -773,32 +751,3 @@ def _differ(a: Triple, b: Triple, least: float, share: float, *scales: Triple) -
     """Whether two vectors differ by more than ``least`` and a share of the largest that it is measured by."""
     size = max(abs(x) for scale in scales for x in scale)
     return max(abs(x - y) for x, y in zip(a, b, strict=True)) > least + share * size
-
-
-def _is_number(value: object) -> bool:
-    try:
-        return bool(np.isfinite(value))  # type: ignore[call-overload]
-    except (TypeError, ValueError):
-        return False
-
-
-def _at_least(value: float, least: float, name: str) -> float:
-    if not _is_number(value) or value < least:
-        raise PhysicsError(f"{name} must be a number of at least {least:g}, got {value!r}")
-    return float(value)
-
-
-def vector_of(value: object, count: int) -> FloatArray | None:
-    """(count,) what somebody gave, NaN and infinity included; None where it is not so many numbers."""
-    try:
-        vector = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        return None
-    return vector if vector.shape == (count,) else None
-
-
-def _vector(value: Vector, name: str, length: int) -> FloatArray:
-    vector = vector_of(value, length)
-    if vector is None or not np.isfinite(vector).all():
-        raise PhysicsError(f"{name} must be {length} finite numbers, got {value}")
-    return vector

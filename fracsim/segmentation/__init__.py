@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FieldError
+from ..common.arrays import FloatArray, IntArray
+from ..common.errors import FieldError
 from . import felzenszwalb as _felzenszwalb
 from . import hierarchical as _hierarchical
 from . import kmeans as _kmeans
 from . import region_growing as _region_growing
 from . import watershed as _watershed
 from .graph import SurfaceGraph
-from .passes import SLACK, passes
+from .midpoints import SLACK, midpoint_segmentation
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Method = Callable[[SurfaceGraph, FloatArray, float], IntArray]
 
 # The thesis's segmentations of a field at the vertices (V,), in units of the largest extent, and their parameters.
@@ -81,7 +80,7 @@ def segment(
     between = _finite(midpoints, (len(graph.edges),), "midpoints") / graph.size
     if hasattr(mesh, "edges_unique"):
         between = between[_order(np.asarray(mesh.edges_unique), graph)]
-    return passes(graph, np.concatenate([field, between]), SLACK if parameter is None else parameter)
+    return midpoint_segmentation(graph, np.concatenate([field, between]), SLACK if parameter is None else parameter)
 
 
 def _order(edges: npt.NDArray[Any], graph: SurfaceGraph) -> IntArray:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import FloatArray, IntArray
 from .graph import SurfaceGraph
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Number = TypeVar("Number", float, FloatArray)
 
 SCALE = 4.0  # k

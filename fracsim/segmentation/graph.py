@@ -11,12 +11,8 @@ import numpy.typing as npt
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from ..errors import FieldError, MeshError
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-Int32Array = npt.NDArray[np.int32]
-BoolArray = npt.NDArray[np.bool_]
+from ..common.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from ..common.errors import FieldError, MeshError
 
 
 class Pairs:

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
+from ..common.arrays import FloatArray, IntArray
 from .graph import SurfaceGraph
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 STOP = 0.2  # of the largest extent: the sum of an edge's ends below which merging ends (thesis, section 4.8.1)
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from ..errors import FieldError, MissingExtraError
+from ..common.arrays import FloatArray, IntArray
+from ..common.errors import FieldError, MissingExtraError
 from .graph import SurfaceGraph
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 CLUSTERS = 3
 CLIP = 0.5  # of the largest extent, to which larger distances are clipped (both: thesis, section 4.8.1)

@@ -12,9 +12,9 @@ from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
-from ..errors import MissingExtraError
+from ..common.arrays import FloatArray, IntArray
+from ..common.errors import MissingExtraError
 from .felzenszwalb import SMALLEST, transformed
 from .graph import SurfaceGraph
 from .kmeans import ITERATIONS, centres, features
@@ -24,9 +24,6 @@ try:
     import networkx as nx
 except ImportError as error:
     raise MissingExtraError("networkx", "bake") from error
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 def prepare(graph: SurfaceGraph, udf: FloatArray) -> nx.Graph:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from ..common.arrays import FloatArray, IntArray
 from .graph import SurfaceGraph, falling, highest_around
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 MERGED = 0.1  # of the largest extent: regions join over an edge whose ends are both this far from a crack
 STEP = 0.004  # of the largest extent, by which the level falls from which vertices are considered (both: 4.8.1)

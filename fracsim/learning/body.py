@@ -1,0 +1,116 @@
+"""TODO learning.body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from ..common.arrays import Float32Array, FloatArray, IntArray
+from ..common.errors import DatasetError
+from ..data.dataset import Dataset
+from ..data.samples import Samples
+from ..fracture.atom_watershed import AtomWatershed
+from ..fracture.predictor import field_from_scores
+from ..fracture.rule import Interfaces, separated
+from ..geometry.complex import vertex_cells
+from ..solids.geodesics import CAP, CurveDistances, interface_distances, split_in_four
+from ..solids.spectrum import Spectrum, spectrum
+from ..solids.surface import Surface
+from ..solids.walls import facing_vertices
+from .atoms import Atoms, atoms_for
+
+
+@dataclass(frozen=True, eq=False)
+class BodyGeometry:
+    """What a model may know of a body: its shape, and where cracks can run in it; never how it answers a blow.
+
+    surface: of largest extent 1, with V vertices and E edges. atoms: A building blocks of its pieces, and the I
+    interfaces between them. distances: (I, V + E) float32, geodesic, from each interface's curve to the vertices and
+    then the edge midpoints, capped at CAP. shores: (I, S) vertices along the curves.
+    """
+
+    surface: Surface
+    atoms: Atoms
+    distances: Float32Array
+    shores: IntArray
+
+    @classmethod
+    def of(cls, surface: Surface, atoms: Atoms, progress: Callable[[float], None] = lambda _: None) -> Self:
+        curves = CurveDistances(atoms.parts, surface)
+        distances, shores = interface_distances(curves, atoms.interfaces.pairs, progress)
+        return cls(surface, atoms, distances.astype(np.float32), shores)
+
+    @classmethod
+    def read(cls, dataset: Dataset, progress: Callable[[float], None] = lambda _: None) -> tuple[Self, Samples]:
+        """The body of a dataset, and its samples in terms of the body's atoms."""
+        generator = dataset.generator
+        if generator is None:
+            raise DatasetError(f"{dataset.path}: holds no generator, which says what the body is made of")
+        samples = dataset.samples()
+        if not len(samples):
+            raise DatasetError(f"{dataset.path}: holds no samples; make some with: fracsim dataset make")
+        floor = float(dataset.header["truth"]["crumb_floor"])
+        atoms = atoms_for(generator, [] if generator.fixed_cracks else [samples.rows(slice(2 * dataset.block))], floor)
+        return cls.of(dataset.surface, atoms, progress), atoms.project(samples)
+
+    @property
+    def vertices(self) -> FloatArray:
+        return self.surface.vertices
+
+    @property
+    def faces(self) -> IntArray:
+        return self.surface.faces
+
+    @property
+    def interfaces(self) -> Interfaces:
+        return self.atoms.interfaces
+
+    @property
+    def volumes(self) -> FloatArray:
+        return self.atoms.parts.volumes
+
+    @cached_property
+    def vertex_atom(self) -> IntArray:
+        """(V,) the atom of each vertex."""
+        parts = self.atoms.parts
+        return vertex_cells(parts.triangles, parts.sides, len(parts.points))[: len(self.vertices)]
+
+    @cached_property
+    def split(self) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
+        """``udf.split_in_four`` of the surface."""
+        return split_in_four(self.surface)
+
+    @property
+    def nodes(self) -> FloatArray:
+        """(V + E, 3): the vertices, then the midpoints of ``edges``."""
+        return self.split[0]
+
+    @property
+    def edges(self) -> IntArray:
+        """(E, 2) in lexicographic order."""
+        return self.split[2]
+
+    @cached_property
+    def links(self) -> IntArray:
+        """(L, 2) vertices that face each other through a thin wall."""
+        return facing_vertices(self.surface)
+
+    @cached_property
+    def basins(self) -> AtomWatershed:
+        distances = self.distances[:, : len(self.vertices)]
+        return AtomWatershed.of(self.shores, distances, self.interfaces.pairs, self.interfaces.areas, len(self.volumes))
+
+    def spectrum(self, count: int, radii: Sequence[float]) -> Spectrum:
+        return spectrum(self.atoms.cells, self.atoms.atom, self.surface, count, radii)
+
+    def fields(self, labels: IntArray, nodes: bool = False) -> Float32Array:
+        """(N, V) the true fields of fractures that leave the atoms labels (N, A): the least distance to an interface
+        that parts two pieces. nodes: (N, V + E), at the edge midpoints as well."""
+        parted = separated(labels, self.interfaces.pairs).astype(np.float64)
+        distances = self.distances if nodes else self.distances[:, : len(self.vertices)]
+        fields = [field_from_scores(row, distances, CAP) for row in parted]
+        return np.array(fields, dtype=np.float32).reshape(len(labels), distances.shape[1])

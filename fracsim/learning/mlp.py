@@ -1,0 +1,190 @@
+"""The thesis's best model (section 4.4.1): one perceptron that is asked at every vertex by itself. Offline only."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.arrays import Float32Array, FloatArray
+from ..common.errors import MissingExtraError, ModelError
+from ..data.samples import Samples
+from ..geometry.sampling import SurfacePoints
+from ..metrics import amae
+from ..simulators.base import Impacts
+from ..solids.geodesics import CAP
+from .body import BodyGeometry
+from .options import TrainingOptions
+from .targets import Targets, amae_loss
+from .trainer import Run, train
+from .whole_field import CHUNK, VALIDATED, ImpulseInputs, check_sizes, load_weights, start_network
+
+try:
+    import torch
+except ImportError as error:
+    raise MissingExtraError("torch", "train") from error
+
+
+POINTS = ("vertices", "surface")
+
+
+@dataclass(frozen=True)
+class MLPOptions:
+    """width, layers: of the hidden layers (thesis, Table 5.1). severity: whether the impulse's strength is an input;
+    the thesis's own has none. points: where training points are, at vertices or uniform over the surface. filled:
+    see ``train.amae_loss``. training: its batch is a number of points (thesis, section 4.8)."""
+
+    width: int = 704
+    layers: int = 7
+    severity: bool = True
+    points: str = "vertices"
+    filled: float = 0.0
+    training: TrainingOptions = field(default_factory=lambda: TrainingOptions(epochs=200, batch=4096))
+
+    def __post_init__(self) -> None:
+        check_sizes(self, ("width", "layers"))
+        if self.points not in POINTS:
+            raise ModelError(f"unknown points {self.points!r}; use one of {', '.join(POINTS)}")
+
+
+class Perceptron(torch.nn.Module):
+    """Linear layers of one width, each with layer normalisation and ReLU, and a single output."""
+
+    def __init__(self, inputs: int, width: int, layers: int) -> None:
+        super().__init__()
+        hidden: list[torch.nn.Module] = []
+        for k in range(layers):
+            hidden += [torch.nn.Linear(width if k else inputs, width), torch.nn.LayerNorm(width), torch.nn.ReLU()]
+        self.hidden = torch.nn.Sequential(*hidden)
+        self.last = torch.nn.Linear(width, 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """(B, inputs) to (B,)"""
+        x = self.hidden(x)
+        with torch.autocast(x.device.type, enabled=False):  # a distance of 0.3 to 8 bits would be 0.001 off
+            return self.last(x.float())[:, 0]
+
+
+class MLP:
+    """A vertex's coordinates and the impulse in, the vertex's distance out."""
+
+    kind: ClassVar[str] = "mlp"
+    options_type: ClassVar[type[MLPOptions]] = MLPOptions
+
+    def __init__(self, body: BodyGeometry, net: Perceptron, inputs: ImpulseInputs, options: MLPOptions) -> None:
+        self.body, self.net, self.inputs, self.options = body, net, inputs, options
+
+    @classmethod
+    def fit(
+        cls, body: BodyGeometry, samples: Samples, options: MLPOptions, seed: int, run: Run | None = None
+    ) -> tuple[Self, dict[str, float]]:
+        device, parts, inputs = start_network(body, samples, options, seed)
+        net = Perceptron(3 + inputs.count, options.width, options.layers).to(device)
+        model = cls(body, net, inputs, options)
+        return model, train(_Points(model, *parts, device), options.training, seed, run)
+
+    def on(self, body: BodyGeometry) -> Self:
+        """The same network asked about another mesh of the same shape."""
+        return type(self)(body, self.net, self.inputs, self.options)
+
+    def predict(self, blows: Impacts) -> Float32Array:
+        return self._at(self.body.vertices, blows)
+
+    def predict_nodes(self, blows: Impacts) -> Float32Array:
+        """(N, V + E) at edge midpoints as well."""
+        return self._at(self.body.nodes, blows)
+
+    def _at(self, points: FloatArray, blows: Impacts) -> Float32Array:
+        device = next(self.net.parameters()).device
+        where = torch.as_tensor(points, dtype=torch.float32, device=device)
+        impulses = torch.as_tensor(self.inputs(self.body, blows), device=device)
+        result = np.empty(len(blows) * len(points), dtype=np.float32)
+        with torch.inference_mode():
+            for start in range(0, len(result), CHUNK):
+                pair = torch.arange(start, min(start + CHUNK, len(result)), device=device)
+                row = torch.div(pair, len(points), rounding_mode="floor")
+                x = torch.cat([where[pair - row * len(points)], impulses[row]], dim=1)
+                result[start : start + len(pair)] = self.net(x).clamp(0.0, CAP).cpu().numpy()
+        return result.reshape(len(blows), len(points))
+
+    def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
+        arrays = {name: value.cpu().numpy() for name, value in self.net.state_dict().items()}
+        return arrays, {"inputs": asdict(self.inputs), "width": self.options.width, "layers": self.options.layers}
+
+    @classmethod
+    def restore(cls, body: BodyGeometry, arrays: dict[str, npt.NDArray[Any]], numbers: dict[str, Any]) -> Self:
+        inputs = ImpulseInputs(**numbers["inputs"])
+        options = replace(MLPOptions(), width=numbers["width"], layers=numbers["layers"], severity=inputs.severity)
+        net = Perceptron(3 + inputs.count, options.width, options.layers)
+        load_weights(net, arrays)
+        return cls(body, net, inputs, options)
+
+
+class _Points:
+    """Training rows are pairs of a sample and a vertex, or as many points anywhere on the surface.
+
+    A field bends at a crack, so between vertices it is read from the quarter triangle around the point: linear
+    between the corners and edge midpoints there, which is exact but where a crack crosses that quarter.
+    """
+
+    def __init__(self, model: MLP, samples: Samples, validation: Samples, device: torch.device) -> None:
+        body = model.body
+        self.model, self.module, self.device = model, model.net, device
+        self.vertices = len(body.vertices)
+        self.count = len(samples) * self.vertices
+        self.impulses = torch.as_tensor(model.inputs(body, samples.blows), device=device)
+        nodes, fine, _, _ = body.split
+        self.nodes = torch.as_tensor(nodes, dtype=torch.float32, device=device)
+        self.anywhere = model.options.points == "surface"
+        self.targets = Targets(body, samples.labels, device, nodes=self.anywhere)
+        share = SurfacePoints(body.vertices, body.faces).share
+        self.below = torch.as_tensor(np.cumsum(share))
+        self.quarters = torch.as_tensor(fine.reshape(-1, 4, 3))  # (F, 4, 3): at the corners, and the middle one
+        held_out = validation.rows(slice(VALIDATED))
+        rng = np.random.default_rng(0)
+        self.asked = rng.integers(0, self.vertices, (len(held_out), min(64, self.vertices)))
+        self.held_out = torch.as_tensor(model.inputs(body, held_out.blows), device=device)
+        self.truth = np.take_along_axis(body.fields(held_out.labels), self.asked, axis=1)
+
+    def groups(self, rate: float) -> list[dict[str, Any]]:
+        return [{"params": list(self.module.parameters())}]
+
+    def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        sample = torch.div(rows, self.vertices, rounding_mode="floor")
+        if self.anywhere:
+            node, weight = self._draw(len(rows), generator)
+        else:
+            node, weight = (rows - sample * self.vertices)[:, None], torch.ones(len(rows), 1)
+        sample, node, weight = sample.to(self.device), node.to(self.device), weight.to(self.device)
+        truth = (self.targets(sample, node) * weight).sum(dim=1)
+        where = (self.nodes[node] * weight[:, :, None]).sum(dim=1)
+        predicted = self.module(torch.cat([where, self.impulses[sample]], dim=1))
+        return amae_loss(predicted, truth, self.model.options.filled)
+
+    def _draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        """Points uniform over the area: the nodes (B, 3) around each, and its barycentric coordinates (B, 3) there."""
+        u = torch.rand(count, 3, generator=generator)
+        face = torch.searchsorted(self.below, u[:, 0].double()).clamp(max=len(self.below) - 1)
+        root = u[:, 1].sqrt()
+        bary = torch.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], dim=1)
+        most, corner = bary.max(dim=1)
+        outer = most > 0.5
+        # A quarter is half as wide: beside a corner coordinates double; the middle one is upside down, its nodes
+        # x, y and z lying across from c, a and b.
+        inner = 1 - 2 * bary[:, [2, 0, 1]]
+        doubled = 2 * bary
+        doubled[torch.arange(count), corner] -= 1
+        return (
+            self.quarters[face, torch.where(outer, corner, 3)],
+            torch.where(outer[:, None], doubled, inner),
+        )
+
+    def validate(self) -> float:
+        where = self.nodes[torch.as_tensor(self.asked, device=self.device)]  # (N, 64, 3)
+        predicted = [
+            self.module(torch.cat([points, impulse.expand(len(points), -1)], dim=1)).clamp(0.0, CAP).cpu().numpy()
+            for points, impulse in zip(where, self.held_out, strict=True)
+        ]
+        return amae(self.truth, np.array(predicted))

@@ -1,0 +1,188 @@
+"""One model for many bodies: how a blow spreads and what breaks an interface, learned once for all of them.
+
+Nothing in it belongs to a mesh. A body brings its geometry (the eigenfunctions of its Laplacian and the interfaces
+between its atoms), so a body that it never saw needs a solid and its atoms, but no samples and no training.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.arrays import FloatArray
+from ..common.errors import MissingExtraError, ModelError
+from ..data.samples import Samples
+from ..solids.spectrum import Spectrum
+from .body import BodyGeometry
+from .field import ContactPatches, FieldModel, FieldNetwork, FieldOptions, frozen
+from .options import TrainingOptions
+from .trainer import Run, train
+
+try:
+    import torch
+except ImportError as error:
+    raise MissingExtraError("torch", "train") from error
+
+
+LOWEST, HIGHEST = 1.0, 1e4  # eigenvalues between which the filter's knots stand, evenly in their logarithm
+VALIDATED = 2048  # samples of each body
+RULE = ("slope", "offset", "log_push", "log_shear")
+
+
+@dataclass(frozen=True)
+class SharedOptions:
+    """knots: of the filter, a piecewise linear function of the logarithm of the eigenvalue. eigenfunctions, radii:
+    ``spectrum``."""
+
+    knots: int = 16
+    eigenfunctions: int = 96
+    radii: tuple[float, ...] = (0.05, 0.15)
+    training: TrainingOptions = field(
+        default_factory=lambda: TrainingOptions(steps=3000, batch=512, rate=2e-2, schedule="cosine")
+    )
+
+
+class _SharedNet(torch.nn.Module):
+    """The numbers that all bodies share; ``at`` puts them into a body's own network, whose free weights are 0."""
+
+    def __init__(self, radii: int, knots: int) -> None:
+        super().__init__()
+        places = np.exp(np.linspace(np.log(LOWEST), np.log(HIGHEST), knots))
+        start = -np.log1p(places / 30) - np.log(radii)
+        self.filter = torch.nn.Parameter(torch.tensor(np.tile(start, (radii, 1)), dtype=torch.float32))
+        self.slope = torch.nn.Parameter(torch.tensor(3.0))
+        self.offset = torch.nn.Parameter(torch.tensor(0.0))
+        self.log_push = torch.nn.Parameter(torch.tensor(-2.0))
+        self.log_shear = torch.nn.Parameter(torch.tensor(0.0))
+
+    def numbers(self, hat: torch.Tensor) -> dict[str, torch.Tensor]:
+        return {"log_filter": self.filter @ hat, **{name: getattr(self, name) for name in RULE}}
+
+
+class _TrainingBody(torch.nn.Module):
+    """One body's share of the training: its contacts, and its network with the shared numbers in it."""
+
+    def __init__(self, body: BodyGeometry, samples: Samples, options: SharedOptions, shared: _SharedNet) -> None:
+        super().__init__()
+        geometry = body.spectrum(options.eigenfunctions, options.radii)
+        self.net = blank(body, geometry, options)
+        self.hat = hats(geometry.values, options.knots)
+        self.shared = shared
+        self.contacts = [ContactPatches(samples.part(k), geometry.coordinates, body.faces) for k in range(2)]
+
+    def forward(self, *arguments: Any) -> torch.Tensor:
+        return torch.func.functional_call(self.net, self.shared.numbers(self.hat), arguments)
+
+
+def blank(body: BodyGeometry, geometry: Spectrum, options: SharedOptions) -> FieldNetwork:
+    """A body's network with no weights of its own: the smallest hidden layers, all zero."""
+    plain = FieldOptions(width=1, eigenfunctions=options.eigenfunctions, radii=options.radii)
+    net = FieldNetwork(geometry, body.interfaces.pairs, body.interfaces.normals, plain)
+    for parameter in net.parameters():
+        parameter.requires_grad_(False)
+        if parameter.ndim:
+            parameter.zero_()
+    return net
+
+
+def hats(values: FloatArray, knots: int) -> torch.Tensor:
+    """(knots, K) weights of linear interpolation between the knots, the ends held beyond them."""
+    where = np.log(np.clip(values, LOWEST, HIGHEST) / LOWEST) / np.log(HIGHEST / LOWEST) * (knots - 1)
+    weights = np.maximum(0.0, 1.0 - np.abs(where[None] - np.arange(knots)[:, None]))
+    return torch.tensor(weights, dtype=torch.float32)
+
+
+class _SharedLearner:
+    def __init__(self, bodies: Sequence[tuple[BodyGeometry, Samples]], options: SharedOptions) -> None:
+        self.module = _SharedNet(len(options.radii), options.knots)
+        self.parts = [_TrainingBody(body, samples, options, self.module) for body, samples in bodies]
+        sizes = [len(part.contacts[0].count) for part in self.parts]
+        self.ends = torch.cumsum(torch.tensor([0, *sizes]), 0)
+        self.count = int(self.ends[-1])
+
+    def groups(self, rate: float) -> list[dict[str, Any]]:
+        return [{"params": list(self.module.parameters()), "lr": rate}]
+
+    def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        total = torch.zeros(())
+        for part, low, high in zip(self.parts, self.ends[:-1], self.ends[1:], strict=True):
+            own = rows[(rows >= low) & (rows < high)] - low
+            if len(own):
+                total = total + part.contacts[0].loss(part, own) * len(own)
+        return total / len(rows)
+
+    def validate(self) -> float:
+        with torch.no_grad():
+            losses = [
+                float(p.contacts[1].loss(p, torch.arange(min(2048, len(p.contacts[1].count))))) for p in self.parts
+            ]
+        return float(np.mean(losses))
+
+
+@dataclass(frozen=True, eq=False)
+class SharedField(FieldModel):
+    """The shared numbers, at home in one body; ``on`` takes them to another."""
+
+    kind: ClassVar[str] = "shared"
+    options_type: ClassVar[type] = SharedOptions
+    numbers: dict[str, npt.NDArray[np.float32]]
+    options: SharedOptions
+
+    @classmethod
+    def fit(  # type: ignore[override]
+        cls,
+        body: BodyGeometry,
+        samples: Samples,
+        options: SharedOptions | None = None,
+        seed: int = 0,
+        run: Run | None = None,
+    ) -> tuple[Self, dict[str, float]]:
+        return cls.fit_many([(body, samples)], options, seed, run)
+
+    @classmethod
+    def fit_many(
+        cls,
+        bodies: Sequence[tuple[BodyGeometry, Samples]],
+        options: SharedOptions | None = None,
+        seed: int = 0,
+        run: Run | None = None,
+    ) -> tuple[Self, dict[str, float]]:
+        """Learn from all the bodies at once; the model returned is at home in the first."""
+        options = options or SharedOptions()
+        for body, samples in bodies:
+            if not samples.broken.shape[1]:
+                raise ModelError(f"{body.surface.name}: its samples do not say which interfaces broke")
+        torch.manual_seed(seed)
+        learner = _SharedLearner(bodies, options)
+        figures = train(learner, options.training, seed, run)
+        numbers = {name: value.detach().numpy().astype(np.float32) for name, value in learner.module.named_parameters()}
+        severity = max(float(samples.part(0).severities.sum(axis=1).max()) for _, samples in bodies)
+        return cls._build(bodies[0][0], {**numbers, "severity": np.array([severity], np.float32)}, options), figures
+
+    def on(self, body: BodyGeometry) -> Self:
+        """The same model of another body."""
+        return self._build(body, self.numbers, self.options)
+
+    @classmethod
+    def _build(cls, body: BodyGeometry, numbers: dict[str, npt.NDArray[np.float32]], options: SharedOptions) -> Self:
+        shared = _SharedNet(len(options.radii), options.knots)
+        shared.load_state_dict({n: torch.from_numpy(np.array(v)) for n, v in numbers.items() if n != "severity"})
+        geometry = body.spectrum(options.eigenfunctions, options.radii)
+        net = blank(body, geometry, options)
+        with torch.no_grad():
+            for name, value in shared.numbers(hats(geometry.values, options.knots)).items():
+                getattr(net, name).copy_(value)
+        return cls(body, frozen(net, body, geometry, float(numbers["severity"][0])), numbers, options)
+
+    def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
+        told = {"knots": self.options.knots, "eigenfunctions": self.options.eigenfunctions}
+        return dict(self.numbers), {**told, "radii": list(self.options.radii)}
+
+    @classmethod
+    def restore(cls, body: BodyGeometry, arrays: dict[str, npt.NDArray[Any]], numbers: dict[str, Any]) -> Self:
+        options = SharedOptions(int(numbers["knots"]), int(numbers["eigenfunctions"]), tuple(numbers["radii"]))
+        return cls._build(body, arrays, options)

@@ -1,0 +1,101 @@
+"""TODO learning.whole_field."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.arrays import Float32Array, FloatArray
+from ..common.errors import MissingExtraError, ModelError
+from ..data.samples import Samples
+from ..geometry.sampling import SurfacePoints
+from ..simulators.base import Impacts
+from ..solids.surface import Surface
+from .body import BodyGeometry
+from .trainer import device_for
+
+try:
+    import torch
+except ImportError as error:
+    raise MissingExtraError("torch", "train") from error
+
+CHUNK = 4096  # points that are asked about together: more is no faster on a CPU
+VALIDATED = 200  # impulses, and at how many vertices of each
+
+
+def start_network(
+    body: BodyGeometry, samples: Samples, options: Any, seed: int
+) -> tuple[torch.device, tuple[Samples, Samples], ImpulseInputs]:
+    """How fitting a network of whole fields begins: the device, training and validation samples, and the inputs that
+    the former call for. Seeds torch."""
+    torch.manual_seed(seed)
+    parts = samples.part(0), samples.part(1)
+    for part, name in zip(parts, ("training", "validation"), strict=True):
+        if not len(part):
+            raise ModelError(f"there are no {name} samples; make more with: fracsim dataset make")
+    return device_for(options.training), parts, ImpulseInputs.of(body, parts[0], options.severity)
+
+
+def check_sizes(options: Any, names: tuple[str, ...]) -> None:
+    """What the options of torch models have in common: whole numbers of at least 1, and ``filled``."""
+    for name in names:
+        value = getattr(options, name)
+        if not (isinstance(value, int) and value >= 1):
+            raise ModelError(f"{name} must be a whole number and at least 1, got {value}")
+    if not (math.isfinite(options.filled) and options.filled >= 0):
+        raise ModelError(f"filled must be finite and at least 0, got {options.filled}")
+
+
+@dataclass(frozen=True)
+class ImpulseInputs:
+    """Blows as network inputs: mean position (3), resultant direction (3) and, unless the thesis's own are wanted,
+    the logarithm of the total severity, which is brought to mean 0 and deviation 1 over the training impulses, and
+    clamped to their range."""
+
+    severity: bool
+    mean: float = 0.0
+    deviation: float = 1.0
+    low: float = 0.0
+    high: float = 0.0
+
+    @classmethod
+    def of(cls, body: BodyGeometry, samples: Samples, severity: bool) -> Self:
+        if not severity:
+            return cls(False)
+        log = resultant(samples.blows, body.surface)[:, 6]
+        return cls(True, float(log.mean()), max(float(log.std()), 1e-6), float(log.min()), float(log.max()))
+
+    @property
+    def count(self) -> int:
+        return 7 if self.severity else 6
+
+    def __call__(self, body: BodyGeometry, blows: Impacts) -> Float32Array:
+        """(N, 6 or 7)"""
+        whole = resultant(blows, body.surface)
+        whole[:, 6] = (np.clip(whole[:, 6], self.low, self.high) - self.mean) / self.deviation
+        return whole[:, : self.count].astype(np.float32)
+
+
+def load_weights(net: torch.nn.Module, arrays: dict[str, npt.NDArray[Any]]) -> None:
+    try:
+        net.load_state_dict({name: torch.from_numpy(value.copy()) for name, value in arrays.items()})
+    except RuntimeError as error:
+        raise ValueError(str(error)) from error
+    net.eval()
+
+
+def resultant(blows: Impacts, surface: Surface) -> FloatArray:
+    """(N, 7) what a blow is as a whole: the mean of its contacts' positions and of their directions, weighted by
+    severity, and the logarithm of the total severity."""
+    total = blows.severities.sum(axis=1)
+    if not (total > 0).all():
+        raise ModelError(f"blow {int(np.argmin(total > 0))} has no severity; ask only about blows that hit")
+    share = (blows.severities / total[:, None])[:, :, None]
+    where = SurfacePoints(surface.vertices, surface.faces).at(blows.faces.ravel(), blows.barycentric.reshape(-1, 3))
+    position = (share * where.reshape(*blows.faces.shape, 3)).sum(axis=1)
+    direction = (share * blows.directions).sum(axis=1)
+    return np.hstack([position, direction, np.log(total)[:, None]])

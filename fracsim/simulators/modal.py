@@ -1,0 +1,95 @@
+"""TODO simulators.modal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..common.arrays import FloatArray, IntArray
+from ..common.errors import BakeError
+from ..fracture.rule import Interfaces, load_ratios
+from ..geometry.sampling import SurfacePoints
+from ..solids.cut import cut_lattice
+from ..solids.polygons import coarsen
+from ..solids.solid import Solid, relabel
+from ..solids.surface import Surface
+from .base import Impacts, Response, critical_load_factor, interfaces_between, pieces_from_broken
+from .diffusion import impact_field
+from .fracture_modes import Modes, atoms_from_modes, fracture_modes
+
+
+@dataclass(frozen=True, eq=False)
+class ModalSimulator:
+    """Fracture modes (Sellán et al. 2022), momentum diffusion and the breaking rule of ``breaking.drives``.
+
+    cells: the fine solid; atom: (C,), the atom of each cell; parts: the atoms. rows: (V, A), the impact field at
+    each vertex. crumb_floor: fraction of the volume below which a piece joins a neighbour.
+    energies: per mode, its fracture energy after each iteration.
+    """
+
+    surface: Surface
+    cells: Solid
+    atom: IntArray
+    parts: Solid
+    interfaces: Interfaces
+    rows: FloatArray
+    crumb_floor: float
+    energies: tuple[tuple[float, ...], ...]
+    fixed_cracks: bool = True
+
+    @cached_property
+    def points(self) -> SurfacePoints:
+        return SurfacePoints(self.surface.vertices, self.surface.faces)
+
+    def drives(self, blows: Impacts) -> FloatArray:
+        """(N, I) effective jumps across the interfaces, 1 being what breaks them; proportional to severity."""
+        field = self.points.rows(self.rows, blows.faces, blows.barycentric)
+        return load_ratios(field, blows.directions, blows.severities, self.interfaces)
+
+    def thresholds(self, blows: Impacts) -> FloatArray:
+        return critical_load_factor(self.drives(blows), self.parts, self.interfaces)
+
+    def fracture(self, blows: Impacts) -> Response:
+        return pieces_from_broken(self.drives(blows) >= 1.0, self.parts, self.interfaces, self.crumb_floor)
+
+
+def modal_simulator(
+    surface: Surface,
+    rng: np.random.Generator,
+    cells: int = 5000,
+    modes: int = 20,
+    crumb_floor: float = 1e-3,
+    progress: Callable[[str, float], None] = lambda stage, share: None,
+) -> ModalSimulator:
+    """Build the default truth of a surface; ``progress`` hears the stage and its share done.
+
+    cells: of the solid, about. modes: fracture modes. Raises BakeError when the surface cannot be cut into cells
+    or no mode parts it.
+    """
+    progress("solid", 0.0)
+    solid = cut_lattice(surface, cells, rng)
+    progress("modes", 0.0)
+    found = fracture_modes(solid, modes, lambda share: progress("modes", share))
+    progress("atoms", 0.0)
+    return modal_from_solid(surface, solid, found, crumb_floor, progress)
+
+
+def modal_from_solid(
+    surface: Surface,
+    cells: Solid,
+    modes: Modes,
+    crumb_floor: float,
+    progress: Callable[[str, float], None] = lambda stage, share: None,
+) -> ModalSimulator:
+    """The modal truth of a solid whose modes are known."""
+    atom = atoms_from_modes(cells, modes)
+    parts = coarsen(relabel(cells, atom), surface)
+    joints = interfaces_between(parts)
+    if len(joints) == 0:
+        raise BakeError(f"{surface.name}: no fracture mode parts it; raise the number of modes or cells")
+    progress("impact", 0.0)
+    rows = impact_field(cells, atom, surface.vertices)
+    return ModalSimulator(surface, cells, atom, parts, joints, rows, crumb_floor, modes.objectives)

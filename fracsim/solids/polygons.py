@@ -1,0 +1,103 @@
+"""TODO solids.polygons."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ..common.arrays import FloatArray, IntArray
+from ..common.errors import MissingExtraError
+from .solid import Solid
+from .surface import Surface
+
+try:
+    import manifold3d
+except ImportError as error:
+    raise MissingExtraError("manifold3d", "bake") from error
+
+
+def boundary_loops(points: FloatArray, start: IntArray, end: IntArray, frame: FloatArray) -> list[list[int]]:
+    """Closed loops of directed planar edges with the region to their left; regions touching in a point part."""
+    ways: dict[int, list[int]] = {}
+    for a, b in zip(start.tolist(), end.tolist(), strict=True):
+        ways.setdefault(a, []).append(b)
+    # Where the region touches itself, the way on is the first one clockwise from the way back: it bounds the
+    # same wedge of the region.
+    after: dict[tuple[int, int], int] = {}
+    for a, b in zip(start.tolist(), end.tolist(), strict=True):
+        choices = ways[b]
+        if len(choices) > 1:
+            arms = (points[[a, *choices]] - points[b]) @ frame
+            angle = np.arctan2(arms[:, 1], arms[:, 0])
+            choices = [choices[int(np.argmin((angle[0] - angle[1:]) % (2 * np.pi)))]]
+        after[a, b] = choices[0]
+    loops = []
+    while after:
+        edge = next(iter(after))
+        loop = []
+        while edge in after:
+            loop.append(edge[1])
+            edge = edge[1], after.pop(edge)
+        loops.append(loop)
+    return loops
+
+
+def triangulate_polygon(
+    points: FloatArray,
+    start: IntArray,
+    end: IntArray,
+    triangle: FloatArray,
+    needed: npt.NDArray[np.bool_] | None = None,
+) -> IntArray:
+    """Triangles (N, 3) over the planar region to the left of the directed edges, wound like ``triangle`` (3, 3).
+
+    ``needed`` drops points from the rim that lie on straight stretches of it.
+    """
+    across = triangle[1] - triangle[0]
+    up = np.cross(np.cross(across, triangle[2] - triangle[0]), across)
+    frame = np.stack([across / np.linalg.norm(across), up / np.linalg.norm(up)], axis=1)
+    loops = [
+        loop if needed is None else [point for point in loop if needed[point]]
+        for loop in boundary_loops(points, start, end, frame)
+    ]
+    if len(loops) == 1 and len(loops[0]) == 3:
+        return np.array(loops)
+    flat = [(points[loop] - triangle[0]) @ frame for loop in loops]
+    return np.concatenate(loops)[np.asarray(manifold3d.triangulate(flat)).astype(np.int64)]
+
+
+def coarsen(solid: Solid, surface: Surface) -> Solid:
+    """Undo the lattice's marks on the outer faces wherever no inner triangle needs them.
+
+    Each input face comes out as one polygon per cell it touches, triangulated anew; inner triangles stay, so
+    the complex stays closed. Points that nothing uses any more go; the surface's vertices stay first.
+    """
+    inner = solid.source < 0
+    needed = np.zeros(len(solid.points), dtype=bool)
+    needed[: len(surface.vertices)] = True
+    needed[solid.triangles[inner]] = True
+    outer = solid.triangles[~inner]
+    cells = len(solid.volumes)
+    keys, group = np.unique(solid.source[~inner] * cells + solid.sides[~inner, 0], return_inverse=True)
+    # A group's rim: its directed edges without the pairs that cancel inside it.
+    start, end = outer.ravel(), outer[:, [1, 2, 0]].ravel()
+    owner = np.repeat(group.reshape(-1), 3)
+    edge = np.column_stack([np.maximum(start, end), np.minimum(start, end), owner])
+    order = np.lexsort(edge.T)
+    same = (edge[order][1:] == edge[order][:-1]).all(axis=1)
+    rim = np.ones(len(start), dtype=bool)
+    rim[order[1:][same]] = rim[order[:-1][same]] = False
+    start, end, owner = start[rim], end[rim], owner[rim]
+    order = np.argsort(owner, kind="stable")
+    start, end = start[order], end[order]
+    cuts = np.searchsorted(owner[order], np.arange(len(keys) + 1))
+    blocks = []
+    for key, low, high in zip(keys.tolist(), cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        corners = surface.vertices[surface.faces[key // cells]]
+        blocks.append(triangulate_polygon(solid.points, start[low:high], end[low:high], corners, needed))
+    repeat = np.repeat(keys, [len(block) for block in blocks])
+    triangles = np.vstack([*blocks, solid.triangles[inner]])
+    sides = np.vstack([np.column_stack([repeat % cells, np.full(len(repeat), -1)]), solid.sides[inner]])
+    source = np.concatenate([repeat // cells, solid.source[inner]])
+    rank = np.cumsum(needed) - 1
+    return Solid(solid.points[needed], rank[triangles], sides, source, solid.volumes, solid.centroids)

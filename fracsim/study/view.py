@@ -1,0 +1,195 @@
+"""Pictures of fractures, for people. Offline only."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..common.arrays import FloatArray, IntArray
+from ..common.errors import DatasetError, MissingExtraError
+from ..common.files import write_beside
+from ..common.impulse import Impulse
+from ..fracture.asset import BreakableAsset
+from ..fracture.result import Fracture
+
+if TYPE_CHECKING:
+    from ..data.samples import Samples
+
+try:
+    import matplotlib
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+except ImportError as error:
+    raise MissingExtraError("matplotlib", "plot") from error
+
+
+COLUMNS, ROWS = 4, 3
+APART = 0.4  # how far pieces are drawn from where they were, of how far that is from the centre of mass
+LIGHT = np.array([0.3, 0.5, 0.81])  # in the frame of the picture: right, up, towards the eye
+
+
+def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
+    """Draw some of the first samples of a dataset that break the body: the pieces, and the distance field, each from
+    where it was hit.
+
+    Raises DatasetError when there are none.
+    """
+    from ..data.dataset import Dataset
+    from ..data.samples import Samples
+    from ..geometry.sampling import SurfacePoints
+    from ..solids.solid import surface_cells
+
+    with Dataset(path) as dataset:
+        breaking = [
+            block.rows(np.flatnonzero(block.labels.any(axis=1))) for block in _enough(dataset.blocks(skip_damaged=True))
+        ]
+        if not breaking:
+            raise DatasetError(f"{path}: no sample breaks the body; there is nothing to draw")
+        samples = Samples.join(breaking)
+        rng = np.random.default_rng(seed)
+        shown = samples.rows(_of_every_kind(samples.kind, COLUMNS * ROWS, rng))
+        vertices, faces = dataset.surface.vertices, dataset.surface.faces
+        pieces = shown.labels[:, surface_cells(dataset.parts, len(vertices))]
+        fields = dataset.fields(shown.labels)[:, : len(vertices)]
+        cap = float(dataset.header["cap"])
+        name = Path(dataset.surface.name).stem
+        kinds = dataset.header["sampling"]["kinds"]
+    points = SurfacePoints(vertices, faces)
+    figure = Figure(figsize=(4.2 * COLUMNS, 2.5 * ROWS), layout="constrained")
+    axes = figure.subplots(ROWS, 2 * COLUMNS, squeeze=False).ravel()
+    for axis in axes:
+        axis.set_axis_off()
+    for k in range(len(shown)):
+        there = shown.severities[k] > 0
+        where = points.at(shown.faces[k, there], shown.barycentric[k, there])
+        outward = points.normals[shown.faces[k, there]].mean(axis=0)
+        frame = view_frame(outward)
+        left, right = axes[2 * k], axes[2 * k + 1]
+        piece = np.array([np.bincount(row).argmax() for row in pieces[k][faces]])
+        colours = matplotlib.colormaps["tab20"](piece % 20)
+        draw_mesh(left, vertices, faces, colours, frame)
+        draw_mesh(right, vertices, faces, matplotlib.colormaps["viridis"](fields[k][faces].mean(axis=1) / cap), frame)
+        for axis in (left, right):
+            _arrows(axis, where, shown.directions[k, there], frame)
+        count = shown.labels[k].max() + 1
+        left.set_title(f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × threshold, {count} pieces", fontsize=8)
+        right.set_title("distance to the nearest crack", fontsize=8)
+    figure.suptitle(name, fontsize=9)
+    write_beside(Path(out), as_png(figure, 100))
+
+
+def picture_fractures(
+    asset: BreakableAsset, blows: Sequence[tuple[Sequence[Impulse], Fracture]], out: str | Path
+) -> None:
+    """Draw fractures of an asset, a row each: the distance field with what struck it, the pieces, these pulled apart,
+    and their convex parts."""
+    titles = "distance to the nearest crack", "pieces", "pulled apart", "their convex parts"
+    figure = Figure(figsize=(3.4 * len(titles), 3.2 * len(blows)), layout="constrained")
+    rows = figure.subplots(len(blows), len(titles), squeeze=False)
+    palette = matplotlib.colormaps["tab20"](np.arange(20))
+    for axes, (impulses, fracture) in zip(rows, blows, strict=True):
+        frame = view_frame(-np.sum([impulse.direction for impulse in impulses], axis=0))
+        distance = fracture.udf[asset.faces].mean(axis=1) / max(float(fracture.udf.max()), 1e-300)
+        draw_mesh(axes[0], asset.vertices, asset.faces, matplotlib.colormaps["viridis"](distance), frame)
+        where = np.array([impulse.point for impulse in impulses])
+        ways = asset.size * np.array([impulse.direction for impulse in impulses])
+        _arrows(axes[0], where, ways, frame)
+        apart = [APART * (piece.center_of_mass - asset.center_of_mass) for piece in fracture.pieces]
+        surfaces = [(piece.vertices, piece.faces) for piece in fracture.pieces]
+        _draw_all(axes[1], surfaces, palette, frame)
+        moved = [(vertices + way, faces) for (vertices, faces), way in zip(surfaces, apart, strict=True)]
+        _draw_all(axes[2], moved, palette, frame)
+        hulls = [
+            (vertices + way, faces)
+            for piece, way in zip(fracture.pieces, apart, strict=True)
+            for vertices, faces in piece.hulls
+        ]
+        _draw_all(axes[3], hulls, palette, frame)
+        for axis, title in zip(axes, titles, strict=True):
+            axis.set_axis_off()
+            axis.set_title(title, fontsize=8)
+        total = sum(impulse.magnitude for impulse in impulses)
+        axes[0].set_title(f"{total:.3g} N·s, severity {fracture.severity:.2g}: {titles[0]}", fontsize=8)
+        axes[1].set_title(f"{len(fracture.pieces)} pieces", fontsize=8)
+    figure.suptitle(f"{asset.name}, {asset.size:.3g} m of {asset.material.name}, {asset.mass:.3g} kg", fontsize=9)
+    write_beside(Path(out), as_png(figure, 110))
+
+
+def _draw_all(axis: Any, meshes: Sequence[tuple[FloatArray, IntArray]], palette: FloatArray, frame: FloatArray) -> None:
+    """Closed meshes, each in a colour of its own."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    vertices = np.vstack([vertices for vertices, _ in meshes])
+    faces = np.vstack([faces + start for (_, faces), start in zip(meshes, starts, strict=False)])
+    owner = np.repeat(np.arange(len(meshes)), [len(faces) for _, faces in meshes])
+    draw_mesh(axis, vertices, faces, palette[owner % len(palette)], frame)
+
+
+def as_png(figure: Figure, dpi: int) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+def _enough(blocks: Iterator[Samples]) -> Iterator[Samples]:
+    """Blocks, until there is a choice of ten pictures for each that is drawn."""
+    found = 0
+    for block in blocks:
+        broke = int(block.labels.any(axis=1).sum())
+        if broke:
+            yield block
+        found += broke
+        if found >= 10 * COLUMNS * ROWS:
+            return
+
+
+def _of_every_kind(kind: IntArray, count: int, rng: np.random.Generator) -> IntArray:
+    """Up to ``count`` random rows, of as many of each kind as there are."""
+    order = rng.permutation(len(kind))
+    rank = np.empty(len(kind), dtype=np.int64)
+    for each in np.unique(kind):
+        rows = np.flatnonzero(kind[order] == each)
+        rank[rows] = np.arange(len(rows))
+    return np.sort(order[np.argsort(rank, kind="stable")[:count]])
+
+
+def view_frame(outward: FloatArray) -> FloatArray:
+    """Rows right, up, towards the eye; the eye looks at the struck side, a little aslant, with z up."""
+    up = np.array([0.0, 0.0, 1.0])
+    length = np.linalg.norm(outward)
+    eye = outward / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
+    side = np.cross(up, eye)
+    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([1.0, 0.0, 0.0])
+    eye = eye + 0.5 * side + 0.35 * up
+    eye /= np.linalg.norm(eye)
+    right = np.cross(up, eye)
+    right = right / np.linalg.norm(right) if np.linalg.norm(right) > 0.05 else side
+    return np.stack([right, np.cross(eye, right), eye])
+
+
+def draw_mesh(axis: Any, vertices: FloatArray, faces: IntArray, colours: FloatArray, frame: FloatArray) -> None:
+    """Flat shading of a closed mesh: vertices (V, 3), faces (F, 3), colours (F, 3 or 4), frame of the eye (3, 3)."""
+    corner = (vertices @ frame.T)[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
+    seen = np.flatnonzero(normal[:, 2] > 0)
+    seen = seen[np.argsort(corner[seen, :, 2].mean(axis=1))]  # the painter's way: far faces first
+    shade = 0.35 + 0.65 * np.clip(normal[seen] @ LIGHT, 0, 1)
+    colour = np.concatenate([colours[seen, :3] * shade[:, None], np.ones((len(seen), 1))], axis=1)
+    axis.add_collection(
+        PolyCollection(list(corner[seen][:, :, :2]), facecolors=colour, edgecolors=colour, linewidths=0.3)
+    )
+    margin = 0.15 * np.ptp(vertices, axis=0).max()
+    low, high = corner[..., :2].min(axis=(0, 1)) - margin, corner[..., :2].max(axis=(0, 1)) + margin
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+
+
+def _arrows(axis: Any, where: FloatArray, directions: FloatArray, frame: FloatArray) -> None:
+    tip = where @ frame[:2].T
+    tail = (where - 0.2 * directions) @ frame[:2].T
+    for start, end in zip(tail, tip, strict=True):
+        axis.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "red", "lw": 1.5}, zorder=5)
+    axis.plot(*tip.T, "o", color="red", ms=3, zorder=6)
