@@ -2,8 +2,8 @@
 
 python benchmarks/calibration.py            # writes benchmarks/results/calibration.{json,md,png}
 
-A ceramic mug of 0.1 m falls in random orientations onto a rigid floor, its lowest point takes the blow of a
-rigid body, and the generator says at which speed the mug would break: lose a tenth of its mass or more, a
+A ceramic mug of 0.1 m falls in random orientations onto a rigid floor, its lowest point takes the impact of a
+rigid body, and the simulator says at which speed the mug would break: lose a tenth of its mass or more, a
 smaller chip being no break. material.GAUGE is right when half of the falls break it from below the geometric
 mean of 0.2 m, which a mug survives, and 1 m, which it does not. The same is tabulated for every preset.
 """
@@ -44,8 +44,8 @@ def mug() -> trimesh.Trimesh:
 def critical_speeds(mesh: trimesh.Trimesh, restitution: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Per fall, the landing speeds that chip and that break the mesh, over GAUGE times the critical velocity."""
     surface = read_surface(mesh)
-    generator = modal_simulator(surface, np.random.default_rng(0))
-    interfaces, volumes = generator.interfaces, generator.parts.volumes
+    simulator = modal_simulator(surface, np.random.default_rng(0))
+    interfaces, volumes = simulator.interfaces, simulator.cells.volumes
     pairs = interfaces.pairs
     body = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     inverse = np.linalg.inv(body.moment_inertia / body.volume)  # per unit mass
@@ -55,7 +55,7 @@ def critical_speeds(mesh: trimesh.Trimesh, restitution: float = 0.1) -> tuple[np
     lowest = np.argmin(up @ surface.vertices.T, axis=1)
     arm = np.cross(surface.vertices[lowest] - body.center_mass, up)
     effective = 1.0 / (1.0 + np.einsum("ni,ij,nj->n", arm, inverse, arm))  # of the mass
-    rows = generator.rows[lowest]
+    rows = simulator.impact_field[lowest]
     drive = load_ratios(rows[:, None], up[:, None], ((1 + restitution) * effective)[:, None], interfaces)
     chip = 1.0 / weakest_cut(drive, pairs, len(volumes))
     # Damage only ever grows with speed, so bisect for where the largest piece falls below INTACT.

@@ -1,12 +1,12 @@
-"""How wrong is diffusion? The generator's spread of a blow beside a linear-elastic one, on the same interfaces.
+"""How wrong is diffusion? The simulator's spread of an impact beside a linear-elastic one, on the same interfaces.
 
 python benchmarks/elastic.py                # writes benchmarks/results/elastic.{json,md,png}; needs the extra "check"
 
-Each shape is built as it is baked; 300 single blows fall on it, uniform over the area and in the cone of directions.
+Each shape is built as it is baked; 300 single impacts fall on it, uniform over the area and in the cone of directions.
 For each, the drives of its interfaces by momentum diffusion are ranked against those by elastic tractions under
 inertia relief (fracsim/elastic.py). A strength and a jump of velocity have no common unit, so only ranks, and
 fractures at 1.5 times each rule's own threshold, are compared. A finer mesh shows the reference's own error, and
-the fracture of another blow what a comparison of unrelated fractures would give.
+the fracture of another impact what a comparison of unrelated fractures would give.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MESHES = Path(__file__).parent.parent / "meshes"
 SHAPES = ("bunny", "chair", "vase")
 BLOWS = 300
 FAR = 0.3  # of the largest extent, from the contact to the interface
-RATIO = 1.5  # of a blow's severity to its threshold where fractures are compared
+RATIO = 1.5  # of an impact's severity to its threshold where fractures are compared
 FINER = 0.7  # edge length of the finer mesh over that of the mesh used
 FEWEST = 8  # interfaces a rank correlation is taken over at least
 KINDS = ("all", "near", "far", "tension", "compression")
@@ -41,7 +41,7 @@ KINDS = ("all", "near", "far", "tension", "compression")
 
 def centres(modal: ModalSimulator) -> np.ndarray:
     """(I, 3) the area-weighted centres of the interfaces."""
-    parts, pairs = modal.parts, modal.interfaces.pairs
+    parts, pairs = modal.cells, modal.interfaces.pairs
     inner = parts.source < 0
     corner = parts.points[parts.triangles[inner]]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
@@ -55,27 +55,27 @@ def centres(modal: ModalSimulator) -> np.ndarray:
 
 
 def rank_correlations(left: np.ndarray, right: np.ndarray, chosen: np.ndarray) -> dict:
-    """Spearman's correlation over the chosen interfaces (N, I) of each blow: its median and 10 and 90 %."""
+    """Spearman's correlation over the chosen interfaces (N, I) of each impact: its median and 10 and 90 %."""
     found = [
         float(spearmanr(a[c], b[c]).statistic) for a, b, c in zip(left, right, chosen, strict=True) if c.sum() >= FEWEST
     ]
     low, middle, high = np.percentile(found, (10, 50, 90))
-    return {"median": middle, "p10": low, "p90": high, "blows": len(found)}
+    return {"median": middle, "p10": low, "p90": high, "impacts": len(found)}
 
 
 def fractures(modal: ModalSimulator, drive: np.ndarray) -> np.ndarray:
-    """(N, V) the piece of each vertex at RATIO times each blow's threshold."""
-    pairs, count = modal.interfaces.pairs, len(modal.parts.volumes)
+    """(N, V) the piece of each vertex at RATIO times each impact's threshold."""
+    pairs, count = modal.interfaces.pairs, len(modal.cells.volumes)
     whole = drive * (RATIO / weakest_cut(drive, pairs, count))[:, None] < 1.0
     labels = merge_small_pieces_each(
-        components(whole, pairs, count), modal.parts.volumes, modal.interfaces, modal.crumb_floor
+        components(whole, pairs, count), modal.cells.volumes, modal.interfaces, modal.min_piece_volume_fraction
     )
-    return labels[:, surface_cells(modal.parts, len(modal.surface.vertices))]
+    return labels[:, surface_cells(modal.cells, len(modal.surface.vertices))]
 
 
 def agreement(modal: ModalSimulator, left: np.ndarray, right: np.ndarray) -> dict:
-    """What becomes of the body under drives ``left`` and ``right`` (N, I) of the same blows."""
-    pairs, count = modal.interfaces.pairs, len(modal.parts.volumes)
+    """What becomes of the body under drives ``left`` and ``right`` (N, I) of the same impacts."""
+    pairs, count = modal.interfaces.pairs, len(modal.cells.volumes)
     here, there = fractures(modal, left), fractures(modal, right)
     same = np.array([ari(a, b) for a, b in zip(here, there, strict=True)])
     other = np.array([ari(a, b) for a, b in zip(here, np.roll(there, 1, axis=0), strict=True)])
@@ -83,22 +83,22 @@ def agreement(modal: ModalSimulator, left: np.ndarray, right: np.ndarray) -> dic
     return {
         "thresholds": float(spearmanr(*cuts).statistic),
         "ari": float(same.mean()),
-        "ari_of_another_blow": float(other.mean()),
+        "ari_of_another_impact": float(other.mean()),
         "pieces": [float((labels.max(axis=1) + 1).mean()) for labels in (here, there)],
     }
 
 
 def hardest(drive: np.ndarray) -> np.ndarray:
-    """(N, I) the tenth of the interfaces that each blow drives hardest."""
+    """(N, I) the tenth of the interfaces that each impact drives hardest."""
     return drive >= np.quantile(drive, 0.9, axis=1, keepdims=True)
 
 
-def openings(modal: ModalSimulator, blows: Impacts) -> np.ndarray:
+def openings(modal: ModalSimulator, impacts: Impacts) -> np.ndarray:
     """(N, I) the normal component of the diffused jump, positive where it opens the interface."""
     points = SurfacePoints(modal.surface.vertices, modal.surface.faces)
-    field = points.rows(modal.rows, blows.faces, blows.barycentric)[:, 0]
+    field = points.take(modal.impact_field, impacts.faces, impacts.barycentric)[:, 0]
     first, second = modal.interfaces.pairs.T
-    return (field[:, second] - field[:, first]) * (blows.directions[:, 0] @ modal.interfaces.normals.T)
+    return (field[:, second] - field[:, first]) * (impacts.directions[:, 0] @ modal.interfaces.normals.T)
 
 
 def compare(name: str) -> tuple[dict, dict]:
@@ -117,35 +117,35 @@ def compare(name: str) -> tuple[dict, dict]:
     elastic = elastic_simulator(modal, mesh)
     seconds["elastic"] = time.perf_counter() - start
 
-    blows = single_impacts(surface, BLOWS, np.random.default_rng(1))
+    impacts = single_impacts(surface, BLOWS, np.random.default_rng(1))
     start = time.perf_counter()
-    diffused = modal.drives(blows)
+    diffused = modal.drives(impacts)
     seconds["modal_query"] = (time.perf_counter() - start) / BLOWS
     start = time.perf_counter()
-    tractions = elastic.tractions(blows)
+    tractions = elastic.tractions(impacts)
     stressed = effective_opening(tractions, modal.interfaces.normals)
     seconds["elastic_query"] = (time.perf_counter() - start) / BLOWS
 
-    contacts = SurfacePoints(surface.vertices, surface.faces).at(blows.faces[:, 0], blows.barycentric[:, 0])
-    directions = blows.directions[:, 0]
+    contacts = SurfacePoints(surface.vertices, surface.faces).at(impacts.faces[:, 0], impacts.barycentric[:, 0])
+    directions = impacts.directions[:, 0]
     distance = np.linalg.norm(contacts[:, None] - centres(modal)[None], axis=2)
     pull = np.einsum("nik,ik->ni", tractions, modal.interfaces.normals)
     everywhere = np.ones(diffused.shape, dtype=bool)
     chosen = {"all": everywhere, "near": distance < FAR, "far": distance >= FAR}
     chosen |= {"tension": pull > 0, "compression": pull < 0}
-    opened = openings(modal, blows)
+    opened = openings(modal, impacts)
 
     # Forwards from the contacts themselves: the mean traction on a finer mesh, and bending on either.
-    body = ElasticBody(surface, modal.parts, modal.interfaces, mesh)
+    body = ElasticBody(surface, modal.cells, modal.interfaces, mesh)
     bent = body.root_mean_square_drives(body.displacements(contacts, directions))
-    finer = ElasticBody(surface, modal.parts, modal.interfaces, edge=FINER * edge)
+    finer = ElasticBody(surface, modal.cells, modal.interfaces, edge=FINER * edge)
     moved = finer.displacements(contacts, directions)
     refined = effective_opening(finer.tractions_of(moved), modal.interfaces.normals)
     refined_bent = finer.root_mean_square_drives(moved)
 
     figures = {
         "vertices": len(surface.vertices),
-        "parts": len(modal.parts.volumes),
+        "parts": len(modal.cells.volumes),
         "interfaces": len(modal.interfaces),
         "tetrahedra": mesh.t.shape[1],
         "finer_tetrahedra": finer.mesh.t.shape[1],
@@ -176,7 +176,7 @@ def compare(name: str) -> tuple[dict, dict]:
         "stressed": stressed,
         "pull": pull,
         "distance": distance,
-        "cuts": [weakest_cut(d, modal.interfaces.pairs, len(modal.parts.volumes)) for d in (diffused, stressed)],
+        "cuts": [weakest_cut(d, modal.interfaces.pairs, len(modal.cells.volumes)) for d in (diffused, stressed)],
     }
     return figures, plotted
 
@@ -208,7 +208,7 @@ def rows(s: dict) -> list[tuple[str, str]]:
         ("elastic and elastic with bending kept", f"{bending['thresholds']:.2f}"),
         ("elastic and elastic on a finer mesh", f"{finer['thresholds']:.2f}"),
         ("**ARI of fractures**, diffusion and elastic", f"{fracture['ari']:.2f}"),
-        ("diffusion and elastic, unrelated blows", f"{fracture['ari_of_another_blow']:.2f}"),
+        ("diffusion and elastic, unrelated impacts", f"{fracture['ari_of_another_impact']:.2f}"),
         ("elastic and elastic with bending kept", f"{bending['ari']:.2f}"),
         ("elastic and elastic on a finer mesh", f"{finer['ari']:.2f}"),
         ("pieces, diffusion / elastic", show(dict(enumerate(fracture["pieces"])), ".1f")),
@@ -216,7 +216,7 @@ def rows(s: dict) -> list[tuple[str, str]]:
         ("opened by diffusion, of all interfaces, near / far, %", show(s["opened"], ".0f", 100)),
         ("far among the hardest driven, elastic / diffusion, %", show(s["far_among_hardest_driven"], ".0f", 100)),
         ("to build: modal / mesh / elastic, s", show(seconds, ".0f")),
-        ("a blow: modal / elastic, µs", show(queries, ".0f", 1e6)),
+        ("an impact: modal / elastic, µs", show(queries, ".0f", 1e6)),
     ]
 
 
@@ -245,10 +245,10 @@ def sentences(shapes: dict) -> list[str]:
         f"{between([p['near'] for p in pulled], '.0f', 100)} %. Elasticity has "
         f"{between([f['elastic'] for f in far], '.0f', 100)} % of its hardest driven tenth beyond {FAR}, diffusion "
         f"{between([f['diffusion'] for f in far], '.0f', 100)} %.",
-        "Which blows break the body most easily, the two rank alike to "
+        "Which impacts break the body most easily, the two rank alike to "
         + ", ".join(f"{s['fracture']['thresholds']:.2f} ({name})" for name, s in shapes.items())
-        + f". The pieces agree to an ARI of {between([f['ari'] for f in fractures])}, unrelated blows to "
-        f"{between([f['ari_of_another_blow'] for f in fractures])}, the reference with itself on a finer mesh to "
+        + f". The pieces agree to an ARI of {between([f['ari'] for f in fractures])}, unrelated impacts to "
+        f"{between([f['ari_of_another_impact'] for f in fractures])}, the reference with itself on a finer mesh to "
         f"{between([s['fracture_finer_mesh']['ari'] for s in every])}.",
         "The mean traction of an interface hides bending where the interface is a whole section, tension on one side "
         "cancelling compression on the other. With bending kept (root mean square over the interface) the elastic "
@@ -268,7 +268,7 @@ def draw(shapes: dict, plotted: dict) -> None:
 
     figure, axes = pyplot.subplots(2, len(shapes), figsize=(4.2 * len(shapes), 8), layout="constrained")
     for axis, (name, arrays) in zip(axes[0], plotted.items(), strict=True):
-        # The blow whose correlation is the median one.
+        # The impact whose correlation is the median one.
         found = [float(spearmanr(a, b).statistic) for a, b in zip(arrays["diffused"], arrays["stressed"], strict=True)]
         typical = int(np.argsort(found)[len(found) // 2])
         ranks = [
@@ -283,7 +283,7 @@ def draw(shapes: dict, plotted: dict) -> None:
             dots = axis.scatter(ranks[0][chosen], ranks[1][chosen], s=26, marker=marker, label=what, **part)
         axis.plot([0, 100], [0, 100], color="grey", lw=0.8, zorder=0)
         axis.set(
-            title=f"{name}, a typical blow: ρ = {found[typical]:.2f}", xlabel="rank by diffusion, %", aspect="equal"
+            title=f"{name}, a typical impact: ρ = {found[typical]:.2f}", xlabel="rank by diffusion, %", aspect="equal"
         )
     axes[0, 0].set_ylabel("rank by elasticity, %")
     axes[0, 1].legend(fontsize=8, title="by elasticity", title_fontsize=8, loc="lower right")
@@ -315,7 +315,7 @@ def draw(shapes: dict, plotted: dict) -> None:
 
     pieces = axes[1, 2]
     kinds = {
-        "another\nblow": lambda s: s["fracture"]["ari_of_another_blow"],
+        "another\nblow": lambda s: s["fracture"]["ari_of_another_impact"],
         "diffusion": lambda s: s["fracture"]["ari"],
         "bending\nkept": lambda s: s["fracture_mean_against_bending"]["ari"],
         "finer\nmesh": lambda s: s["fracture_finer_mesh"]["ari"],
@@ -331,13 +331,13 @@ def draw(shapes: dict, plotted: dict) -> None:
 
 def report(shapes: dict, plotted: dict) -> None:
     RESULTS.mkdir(exist_ok=True)
-    result = {"command": "python benchmarks/elastic.py", "blows": BLOWS, "ratio": RATIO, "far": FAR, "shapes": shapes}
+    result = {"command": "python benchmarks/elastic.py", "impacts": BLOWS, "ratio": RATIO, "far": FAR, "shapes": shapes}
     (RESULTS / "elastic.json").write_text(json.dumps(result, indent=2) + "\n")
     columns = [rows(s) for s in shapes.values()]
     lines = [
-        f"Momentum diffusion, as in the generator, beside linear elasticity under inertia relief; {BLOWS} single blows",
-        "a shape. ρ: Spearman's rank correlation, of drives over the interfaces of each blow (median, 10 % to 90 % of",
-        "the blows) or of thresholds over the blows. ARI: of the pieces that the vertices lie on, at",
+        f"Momentum diffusion, as in the simulator, beside linear elasticity under inertia relief; {BLOWS} single impacts",
+        "a shape. ρ: Spearman's rank correlation, of drives over the interfaces of each impact (median, 10 % to 90 % of",
+        "the impacts) or of thresholds over the impacts. ARI: of the pieces that the vertices lie on, at",
         f"{RATIO} times each rule's own threshold. `python benchmarks/elastic.py`",
         "",
         "| | " + " | ".join(shapes) + " |",

@@ -2,7 +2,7 @@
 
 python benchmarks/labels.py         # writes benchmarks/results/labels.{json,md,png}; about a minute
 
-The parts of the generator's body are the surface's own inside, so labels need no mapping. Held against two
+The parts of the simulator's body are the surface's own inside, so labels need no mapping. Held against two
 mappings that use a proxy, as the thesis does: a vertex takes the label of the nearest cell centroid, or of the
 nearest vertex of a cage (a quarter of the vertices, moved 2 % of the size outward). Three checks: parts add up
 to the body; moved a little inward, each vertex lies in the part it is labelled with, by the winding number of
@@ -41,7 +41,7 @@ OURS, CENTROID, CAGE = "ours", "nearest cell centroid", "nearest cage vertex"
 
 def additivity(truth: ModalSimulator) -> dict[str, float]:
     """How far the parts' volumes and outer faces are from the body's, relative."""
-    parts, mesh = truth.parts, truth.surface.trimesh
+    parts, mesh = truth.cells, truth.surface.trimesh
     outer = parts.source >= 0
     p, q, r = np.moveaxis(parts.points[parts.triangles[outer]], 1, 0)
     area = 0.5 * np.linalg.norm(np.cross(q - p, r - p), axis=1)
@@ -72,7 +72,7 @@ def winding(points: FloatArray, vertices: FloatArray, faces: IntArray) -> FloatA
 
 def containment(truth: ModalSimulator) -> dict[str, float]:
     """Asks every part's closed surface which vertices, moved inward, it holds."""
-    parts, mesh = truth.parts, truth.surface.trimesh
+    parts, mesh = truth.cells, truth.surface.trimesh
     points = truth.surface.vertices - INWARD * mesh.vertex_normals  # weighted by angle
     label = surface_cells(parts, len(points))
     complex_ = AtomComplex(parts.points, parts.triangles, parts.sides)
@@ -107,13 +107,13 @@ def farthest(points: FloatArray, count: int) -> IntArray:
 def mappings(truth: ModalSimulator) -> dict[str, IntArray]:
     """(V,) the part of each vertex, by name of the way it is found."""
     vertices, mesh = truth.surface.vertices, truth.surface.trimesh
-    cells = cKDTree(truth.cells.centroids)
+    cells = cKDTree(truth.fine_cells.centroids)
     chosen = farthest(vertices, len(vertices) // SHARE)
     cage = vertices[chosen] + OFFSET * mesh.vertex_normals[chosen]
-    of_cage = truth.atom[cells.query(cage)[1]]
+    of_cage = truth.fine_to_cell[cells.query(cage)[1]]
     return {
-        OURS: surface_cells(truth.parts, len(vertices)),
-        CENTROID: truth.atom[cells.query(vertices)[1]],
+        OURS: surface_cells(truth.cells, len(vertices)),
+        CENTROID: truth.fine_to_cell[cells.query(vertices)[1]],
         CAGE: of_cage[cKDTree(cage).query(vertices)[1]],
     }
 
@@ -165,7 +165,7 @@ class Wall:
     """
 
     def __init__(self, truth: ModalSimulator, rng: np.random.Generator) -> None:
-        parts, vertices = truth.parts, truth.surface.vertices
+        parts, vertices = truth.cells, truth.surface.vertices
         outer = np.flatnonzero(parts.source >= 0)
         corners = parts.points[parts.triangles[outer]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -183,7 +183,7 @@ class Wall:
         through &= thickness < 2 * np.median(thickness[through])
         self.entry, self.thickness = entry[through], thickness[through]
         self.exit = self.entry - self.thickness[:, None] * normal[start[through]]
-        self.parts = parts.sides[outer][np.stack([start[through], end[through]], axis=1), 0]
+        self.cells = parts.sides[outer][np.stack([start[through], end[through]], axis=1), 0]
         self.nearest = np.stack(
             [
                 nearest_corner(truth, faces[start[through]], self.entry),
@@ -222,7 +222,7 @@ class Wall:
 
 def unrolled(truth: ModalSimulator, columns: int = 240, rows: int = 220) -> tuple[IntArray, IntArray]:
     """Outer and inner wall seen along radii: the parts and the nearest vertices there, (2, rows, columns), or -1."""
-    parts = truth.parts
+    parts = truth.cells
     outer = np.flatnonzero(parts.source >= 0)
     corners = parts.points[parts.triangles[outer]]
     low, high = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
@@ -251,9 +251,9 @@ def draw(truth: ModalSimulator, labels: IntArray, of_vertex: dict[str, IntArray]
 
     part, vertex = unrolled(truth)
     # A fracture into few enough pieces to tell apart, and enough of them to show.
-    share = truth.parts.volumes / truth.parts.volumes.sum()
+    share = truth.cells.volumes / truth.cells.volumes.sum()
     label = min(labels, key=lambda row: abs(int((np.bincount(row, share) > 0.02).sum()) - 7))
-    order = np.argsort(np.argsort(-np.bincount(label, truth.parts.volumes)))
+    order = np.argsort(np.argsort(-np.bincount(label, truth.cells.volumes)))
     label = order[label]
     colors = ListedColormap(np.vstack([pyplot.get_cmap("tab20").colors] * (1 + label.max() // 20))[: label.max() + 1])
     figure = pyplot.figure(figsize=(13, 7.2))
@@ -376,7 +376,7 @@ def main() -> None:
         labels = fractures(truth, FRACTURES, np.random.default_rng(SEED + 1))
         of_vertex = mappings(truth)
         result["parts"].append(
-            {"mesh": name, "parts": len(truth.parts.volumes), **additivity(truth), **containment(truth)}
+            {"mesh": name, "parts": len(truth.cells.volumes), **additivity(truth), **containment(truth)}
         )
         right = of_vertex[OURS]
         row: dict = {"mesh": name}
@@ -386,10 +386,10 @@ def main() -> None:
         result["vertices"].append(row)
     wall = Wall(truth, np.random.default_rng(SEED + 2))
     result |= {"rays": len(wall.entry), "thickness": float(np.median(wall.thickness))}
-    ends = {OURS + ", at the point": wall.parts}
+    ends = {OURS + ", at the point": wall.cells}
     ends |= {method + ", at the vertex": part[wall.nearest] for method, part in of_vertex.items()}
     for method, part in ends.items():
-        result["wall"].append({"method": method, **wall.agreement(truth.parts, labels, part)})
+        result["wall"].append({"method": method, **wall.agreement(truth.cells, labels, part)})
     write(result)
     draw(truth, labels, of_vertex, result)
 

@@ -1,4 +1,4 @@
-"""What the model's prior, that a blow spreads like heat from a patch, is worth: ``python benchmarks/prior.py``.
+"""What the model's prior, that an impact spreads like heat from a patch, is worth: ``python benchmarks/prior.py``.
 
 The same bunny, samples, seed and steps, trained with the prior, without, and without but with a response of every
 interface's own; scores on the validation split. Writes benchmarks/results/prior.{json,md,png}. About 5 minutes.
@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 RESULTS = HERE / "results"
 STEPS = (500, 1500)
 ROWS = {
-    "blows spread like heat (default)": FieldOptions(),
+    "impacts spread like heat (default)": FieldOptions(),
     "no prior": FieldOptions(prior=False, filter_rate=10.0),
     "no prior, a response of each interface": FieldOptions(prior=False, response=True, filter_rate=10.0),
 }
@@ -32,11 +32,11 @@ ROWS = {
 
 def main() -> None:
     surface = read_surface(HERE.parent / "meshes" / "bunny.obj")
-    generator = make_simulator(surface, SimulatorOptions(), 0)
-    body = BodyGeometry.of(surface, atoms_for(generator, [], 1e-3))
-    samples = sample(generator, 60000, 0)
-    held_out = samples.part(1)
-    held_out = held_out.rows(held_out.labels.any(axis=1))
+    simulator = make_simulator(surface, SimulatorOptions(), 0)
+    body = BodyGeometry.of(surface, atoms_for(simulator, [], 1e-3))
+    samples = sample(simulator, 60000, 0)
+    held_out = samples.of_split(1)
+    held_out = held_out.take(held_out.labels.any(axis=1))
     truth = held_out.labels[:, body.vertex_atom]
 
     results = []
@@ -44,7 +44,7 @@ def main() -> None:
         for steps in STEPS:
             options = replace(row, training=replace(row.training, steps=steps))
             model, figures = FieldModel.fit(body, samples, options)
-            labels = model.predict_labels(held_out.blows)[:, body.vertex_atom]
+            labels = model.predict_labels(held_out.impacts)[:, body.vertex_atom]
             score = float(np.mean([ari(a, b) for a, b in zip(truth, labels, strict=True)]))
             results.append({"row": name, "steps": steps, "ari": score, **figures})
             print(f"{name}, {steps} steps: ARI {score:.3f}, loss {figures['validation']:.4f}", flush=True)

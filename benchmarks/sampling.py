@@ -1,6 +1,6 @@
 """Are impacts spread evenly over the surface? ``python benchmarks/sampling.py`` (about a minute).
 
-Impacts of single blows per patch of surface, over what the patch's area calls for: ours, beside the usual way of
+Impacts of single impacts per patch of surface, over what the patch's area calls for: ours, beside the usual way of
 keeping only impacts of one strength that break the body (the thesis's section 6.5 found its own data crowded on
 weak spots for that reason). Writes benchmarks/results/sampling.{json,md,png}.
 """
@@ -38,17 +38,17 @@ def main() -> None:
     rows, curves = [], {}
     for name in MESHES:
         surface = refine(read_surface(HERE.parent / "meshes" / f"{name}.obj"))
-        generator = make_simulator(surface, SimulatorOptions(), 0)
+        simulator = make_simulator(surface, SimulatorOptions(), 0)
         centres, area = surface.trimesh.triangles_center, surface.trimesh.area_faces
         patch = KMeans(PATCHES, n_init=1, random_state=0).fit_predict(centres, sample_weight=area)
-        drawn = sample(generator, COUNT, 0)
+        drawn = sample(simulator, COUNT, 0)
         single = drawn.kind == 0
         ours, p_ours = density(drawn.faces[single, 0], patch, area)
         # The usual way: one strength, that which breaks half of the impacts, and what does not break is rejected.
-        blows, kind = draw_impacts(surface, COUNT, np.random.default_rng(1))
-        threshold = generator.thresholds(blows)
+        impacts, kind = draw_impacts(surface, COUNT, np.random.default_rng(1))
+        threshold = simulator.thresholds(impacts)
         kept = (kind == 0) & (threshold <= np.median(threshold[kind == 0]))
-        rejected, p_rejected = density(blows.faces[kept, 0], patch, area)
+        rejected, p_rejected = density(impacts.faces[kept, 0], patch, area)
         curves[name] = (ours, rejected, drawn.ratio)
         rows.append(
             {

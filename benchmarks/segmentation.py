@@ -59,9 +59,9 @@ class Case:
     def __init__(self, name: str, surface: Surface) -> None:
         self.name = name
         options = SimulatorOptions()
-        generator = make_simulator(surface, options, SEED)
-        self.body = BodyGeometry.of(surface, atoms_for(generator, [], options.crumb_floor))
-        samples = sample(generator, 4 * FRACTURES, SEED)
+        simulator = make_simulator(surface, options, SEED)
+        self.body = BodyGeometry.of(surface, atoms_for(simulator, [], options.min_piece_volume_fraction))
+        samples = sample(simulator, 4 * FRACTURES, SEED)
         self.atoms = samples.labels[samples.labels.any(axis=1)][:FRACTURES]
         self.truth = self.atoms[:, self.body.vertex_atom]
         self.nodes = self.body.fields(self.atoms, nodes=True).astype(np.float64)
@@ -73,7 +73,9 @@ class Case:
     def flooded(self, nodes: FloatArray, height: float) -> IntArray:
         labels = self.body.basins.labels(nodes[: self.count], height)
         atoms = self.body.atoms
-        whole = merge_small_pieces_each(labels[None], self.body.volumes, atoms.interfaces, atoms.crumb_floor)[0]
+        whole = merge_small_pieces_each(
+            labels[None], self.body.volumes, atoms.interfaces, atoms.min_piece_volume_fraction
+        )[0]
         return whole[self.body.vertex_atom]
 
     def at_vertices(self, method: str, parameter: float) -> Cut:

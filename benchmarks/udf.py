@@ -5,7 +5,7 @@ python benchmarks/udf.py            # writes benchmarks/results/udf.{json,md,png
 The field is asked at every vertex and edge midpoint. The truth on the bunny, chair and vase is the exact
 polyhedral distance (MMP, pygeodesic) on a mesh that has the crack curve for edges, from points every REFERENCE
 along the curve; on the sphere, cylinder and box it is known in closed form. Lengths are in units of the size,
-distances end at udf.CAP. The cracks are those of random blows on the generator's own body.
+distances end at udf.CAP. The cracks are those of random impacts on the simulator's own body.
 
 pygeodesic (pip install pygeodesic) is needed for the truth on the meshes and one row. Without it the row is
 missing, and the truth there is marched on a surface of 16 times the faces instead.
@@ -50,7 +50,7 @@ RESULTS = Path(__file__).parent / "results"
 MESHES = Path(__file__).parent.parent / "meshes"
 CELLS, SEED = 5000, 0
 FRACTURES = 30
-RATIOS = (1.0, 5.0)  # of a blow's severity to the one at which it would first part the body
+RATIOS = (1.0, 5.0)  # of an impact's severity to the one at which it would first part the body
 REFERENCE, COARSE = 0.001, 0.004  # of the size: spacing of the points on the curve, for the truth and for the row
 OURS = "ours: exact seeds, marched, split mesh"
 SEEDED = "marched from vertices, mesh as given"
@@ -60,13 +60,13 @@ EXACT = f"exact polyhedral, points every {COARSE}"
 
 
 def fractures(truth: ModalSimulator, count: int, rng: np.random.Generator) -> IntArray:
-    """(count, P) labels: the answers to single blows at random places that part the body."""
+    """(count, P) labels: the answers to single impacts at random places that part the body."""
     pool = SurfacePoints(truth.surface.vertices, truth.surface.faces)
     face, bary = pool.draw(2 * count, rng)
     directions = cone(-pool.normals[face], CONE, rng)
-    blows = Impacts(face[:, None], bary[:, None], directions[:, None], np.ones((2 * count, 1)))
+    impacts = Impacts(face[:, None], bary[:, None], directions[:, None], np.ones((2 * count, 1)))
     ratio = np.exp(rng.uniform(*np.log(RATIOS), 2 * count))
-    labels = truth.fracture(blows.times(ratio * truth.thresholds(blows))).labels
+    labels = truth.fracture(impacts.times(ratio * truth.thresholds(impacts))).labels
     return labels[labels.any(axis=1)][:count]
 
 
@@ -125,7 +125,7 @@ def heat_split(solid: Solid, surface: Surface) -> Field:
     solver = potpourri3d.MeshHeatMethodDistanceSolver(nodes, fine)
 
     def field(labels: IntArray) -> FloatArray:
-        chosen = labels[curves.parts[:, 0]] != labels[curves.parts[:, 1]]
+        chosen = labels[curves.cells[:, 0]] != labels[curves.cells[:, 1]]
         return np.minimum(solver.compute_distance_multisource(np.unique(nearest[chosen])), CAP)
 
     return field
@@ -191,7 +191,7 @@ def exact(solid: Solid, surface: Surface, spacing: float = COARSE) -> Field:
     targets = np.concatenate([np.arange(vertices), at_middle])
 
     def field(labels: IntArray) -> FloatArray:
-        chosen = np.flatnonzero(labels[curves.parts[:, 0]] != labels[curves.parts[:, 1]])
+        chosen = np.flatnonzero(labels[curves.cells[:, 0]] != labels[curves.cells[:, 1]])
         between = np.concatenate([np.arange(cuts[k], cuts[k + 1]) for k in chosen])
         sources = np.concatenate([np.unique(curves.segments[chosen]), between])
         distance, _ = solver.geodesicDistances(sources, targets)
@@ -220,14 +220,14 @@ def recut(truth: ModalSimulator, fine: Surface) -> Solid:
     while True:
         lattice = tilted_lattice(truth.surface, CELLS, rng)
         try:
-            cut_once(truth.surface, *lattice)  # the generator's own lattice is the first that can be cut
+            cut_once(truth.surface, *lattice)  # the simulator's own lattice is the first that can be cut
         except DegenerateCut:
             continue
         cells = join_slivers(cut_once(fine, *lattice))
-        distance, match = cKDTree(truth.cells.centroids).query(cells.centroids)
-        if len(cells.volumes) != len(truth.cells.volumes) or distance.max() > 1e-9:
+        distance, match = cKDTree(truth.fine_cells.centroids).query(cells.centroids)
+        if len(cells.volumes) != len(truth.fine_cells.volumes) or distance.max() > 1e-9:
             raise RuntimeError("the finer surface gives other cells")
-        return coarsen(relabel(cells, truth.atom[match]), fine)
+        return coarsen(relabel(cells, truth.fine_to_cell[match]), fine)
 
 
 def subdivided(surface: Surface, times: int) -> Surface:
@@ -378,7 +378,7 @@ def row(
 def on_mesh(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
     name, surface = Path(truth.surface.name).stem, truth.surface
     if geodesic:
-        reference = exact(truth.parts, surface, REFERENCE)
+        reference = exact(truth.cells, surface, REFERENCE)
         truths = [reference(label) for label in labels]
     else:
         nodes = len(split_in_four(surface)[0])
@@ -389,7 +389,7 @@ def on_mesh(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
     for method, make in METHODS.items():
         if make is exact and geodesic is None:
             continue
-        build, field = timed(partial(make, truth.parts, surface))
+        build, field = timed(partial(make, truth.cells, surface))
         seconds, fields = zip(*[timed(partial(field, label)) for label in labels], strict=True)
         rows.append(row(name, method, [build], seconds, measure(truths, fields, len(surface.vertices))))
     return rows
@@ -411,7 +411,7 @@ def converges(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]
     """How fields come together as spacing and faces shrink: mean and largest gap to the truth."""
     surface = truth.surface
     nodes = len(split_in_four(surface)[0])
-    reference = exact(truth.parts, surface, REFERENCE)
+    reference = exact(truth.cells, surface, REFERENCE)
     truths = np.array([reference(label) for label in labels])
 
     def entry(what: str, fields: list[FloatArray]) -> dict[str, object]:
@@ -421,11 +421,11 @@ def converges(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]
 
     rows = []
     for spacing in (4 * REFERENCE, 2 * REFERENCE, REFERENCE / 2):
-        field = exact(truth.parts, surface, spacing)
+        field = exact(truth.cells, surface, spacing)
         rows.append(entry(f"exact polyhedral, points every {spacing:g}", [field(label) for label in labels]))
     for times in range(3):
         fine = subdivided(surface, times)
-        curves = CurveDistances(truth.parts if times == 0 else recut(truth, fine), fine)
+        curves = CurveDistances(truth.cells if times == 0 else recut(truth, fine), fine)
         fields = [curves.between(label)[:nodes] for label in labels]
         rows.append(entry(f"ours on {4**times} × the faces", fields))
     return rows
@@ -435,7 +435,7 @@ def resolutions(truth: ModalSimulator, labels: IntArray) -> list[dict[str, objec
     """The same fractures on 1, 3 and 9 times the vertices: mean gaps of the field at the vertices they share."""
     base = len(truth.surface.vertices)
     surfaces = [truth.surface, *(with_vertices(truth.surface, k * base) for k in (3, 9))]
-    solids = [truth.parts, *(recut(truth, fine) for fine in surfaces[1:])]
+    solids = [truth.cells, *(recut(truth, fine) for fine in surfaces[1:])]
     rows = []
     for method in (OURS, SEEDED, HEAT, HEAT_SPLIT):
         fields = []
@@ -505,7 +505,7 @@ def write(result: dict) -> None:
     lines = [
         "Distance to the cracks at vertices and edge midpoints: error, in units of the size, and time.",
         f"`python benchmarks/udf.py`, seed {SEED}. {known}",
-        f"Meshes: {FRACTURES} fractures each, single blows at {RATIOS[0]:g} to {RATIOS[1]:g} times what parts them.",
+        f"Meshes: {FRACTURES} fractures each, single impacts at {RATIOS[0]:g} to {RATIOS[1]:g} times what parts them.",
         "Sphere, cylinder and box: 10 planar cuts each, the truth in closed form; the sphere's is that of the round",
         f'sphere (10,242 vertices). Fields end at {CAP}; "near" counts only nodes nearer than that. The p99 time is',
         "over the fields of a shape, so close to the slowest.",

@@ -43,17 +43,17 @@ except ImportError as error:
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """truth: "modal", or another of ``generator.TRUTHS``. cells: of the solid. modes: fracture modes.
-    samples: impulses to learn from and be tested on. crumb_floor: of the volume; smaller pieces join a neighbour.
+    """truth: "modal", or another of ``simulator.TRUTHS``. cells: of the solid. modes: fracture modes.
+    samples: impulses to learn from and be tested on. min_piece_volume_fraction: of the volume; smaller pieces join a neighbour.
     evaluated: test impulses that the figures are taken over, at most. workers: processes. model: the options of the
     field model; without, ``model_for`` the truth.
     """
 
-    truth: str = "modal"
+    simulator: str = "modal"
     cells: int = 5000
     modes: int = 20
     samples: int = 250000
-    crumb_floor: float = 1e-3
+    min_piece_volume_fraction: float = 1e-3
     evaluated: int = 1500
     workers: int = 2
     model: FieldOptions | None = None
@@ -63,11 +63,11 @@ class BakeOptions:
         for name, value in least.items():
             if getattr(self, name) < value:
                 raise BakeError(f"{name} must be at least {value}, got {getattr(self, name)}")
-        _ = self.truth_options  # checks the truth's name
+        _ = self.simulator_options  # checks the truth's name
 
     @property
-    def truth_options(self) -> SimulatorOptions:
-        return SimulatorOptions(self.truth, self.cells, self.modes, self.crumb_floor)
+    def simulator_options(self) -> SimulatorOptions:
+        return SimulatorOptions(self.simulator, self.cells, self.modes, self.min_piece_volume_fraction)
 
 
 def model_for(truth: str) -> FieldOptions:
@@ -81,13 +81,13 @@ def bake(
     seed: int = 0,
     options: BakeOptions | None = None,
     progress: bool = False,
-    generator: Callable[[Surface], FractureSimulator] | None = None,
+    simulator: Callable[[Surface], FractureSimulator] | None = None,
 ) -> BreakableAsset:
     """Make a breakable asset of a watertight surface of one component, in metres.
 
     source: a path to any format trimesh reads, or a Trimesh. progress: a bar a stage, on standard error.
     Edges longer than 0.08 of the size are split first, so a coarse mesh comes out with more vertices.
-    generator: makes a truth of one's own for the surface; else ``options.truth`` names it.
+    simulator: makes a truth of one's own for the surface; else ``options.truth`` names it.
     The asset's ``metadata`` holds the stages' times and the model's figures on held-out impulses. Raises
     MeshError for a surface that cannot be baked and BakeError when a stage fails.
     """
@@ -96,19 +96,23 @@ def bake(
     with threadpool_limits(1), Stages(progress) as stage:  # sums in one order, whatever the machine
         stage("validate")
         surface = refine(read_surface(source))
-        if generator is None:
-            kind = options.truth
-            truth = make_simulator(surface, options.truth_options, seed, stage)
+        if simulator is None:
+            kind = options.simulator
+            truth = make_simulator(surface, options.simulator_options, seed, stage)
         else:
-            stage("truth")
-            truth = generator(surface)
+            stage("simulator")
+            truth = simulator(surface)
             kind = type(truth).__name__
         stage("atoms")
         watched = observe_fractures(truth, seed)
-        atoms = atoms_for(truth, watched, options.crumb_floor)
-        cells, solid, interfaces = atoms.cells, atoms.parts, atoms.interfaces
+        atoms = atoms_for(truth, watched, options.min_piece_volume_fraction)
+        cells, solid, interfaces = atoms.fine_cells, atoms.solid, atoms.interfaces
         stage("impact")
-        rows = truth.rows if isinstance(truth, ModalSimulator) else impact_field(cells, atoms.atom, surface.vertices)
+        rows = (
+            truth.impact_field
+            if isinstance(truth, ModalSimulator)
+            else impact_field(cells, atoms.fine_to_atom, surface.vertices)
+        )
         body = BodyGeometry.of(surface, atoms, stage.ticker("distances"))
         tick = stage.ticker("samples")
         samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
@@ -123,28 +127,28 @@ def bake(
             points=solid.points,
             triangles=solid.triangles,
             sides=solid.sides,
-            rows=rows.astype(np.float32),
+            impact_field=rows.astype(np.float32),
             pairs=interfaces.pairs,
             areas=interfaces.areas,
             normals=interfaces.normals,
             projected=interfaces.projected,
             distances=body.distances[:, : len(surface.vertices)].astype(np.float16),
-            shores=body.shores,
+            interface_vertices=body.interface_vertices,
             **convex,
         )
         given = _truth(kind, samples)
         name = Path(surface.name).stem
-        floor = options.crumb_floor
+        floor = options.min_piece_volume_fraction
         asset = BreakableAsset(name, chosen, surface.scale, surface.offset, CAP, floor, arrays, model.net, {}, given)
         test = evaluate_asset(asset, body, samples, options.evaluated, stage.ticker("evaluation"))
-        if not atoms.own:
+        if not atoms.are_the_simulators:
             test["ari_of_the_atoms"] = _atoms_ari(truth, atoms, watched[0])
     asset.metadata.update(
         {
             "fracsim": version("fracsim"),
             "seed": seed,
             "options": asdict(options),
-            "truth": kind,
+            "simulator": kind,
             "seconds": {**stage.seconds, "total": sum(stage.seconds.values())},
             "counts": {
                 "vertices": len(surface.vertices),
@@ -175,7 +179,7 @@ def remake_convex(asset: BreakableAsset) -> BreakableAsset:
 
 
 def _truth(kind: str, samples: Samples) -> SimulatorRecord:
-    train = samples.part(0)
+    train = samples.of_split(0)
     total = train.severities.sum(axis=1)
     broke = train.labels.any(axis=1)
     if not broke.any():
@@ -187,8 +191,8 @@ def _truth(kind: str, samples: Samples) -> SimulatorRecord:
 def _atoms_ari(truth: FractureSimulator, atoms: Atoms, block: Samples) -> float:
     """How well atoms can say what a truth that cuts freely does: mean ARI at the vertices over a block's held-out
     fractures."""
-    held_out = block.rows((block.split != 0) & block.labels.any(axis=1))
+    held_out = block.take((block.split != 0) & block.labels.any(axis=1))
     count = len(truth.surface.vertices)
-    vertex_cell, vertex_atom = surface_cells(truth.parts, count), surface_cells(atoms.parts, count)
+    vertex_cell, vertex_atom = surface_cells(truth.cells, count), surface_cells(atoms.solid, count)
     rows = zip(held_out.labels[:, vertex_cell], atoms.project(held_out).labels[:, vertex_atom], strict=True)
     return float(np.mean([ari(free, built) for free, built in rows]))

@@ -48,7 +48,7 @@ def slab(slab_mesh):
 @pytest.fixture(scope="session")
 def crate():
     """A box of eight vertices, baked from a truth that cuts freely into an asset of a few atoms."""
-    options = replace(QUICK, truth="radial", cells=400, model=replace(QUICK.model, response=True))
+    options = replace(QUICK, simulator="radial", cells=400, model=replace(QUICK.model, response=True))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fracsim.learning.atoms.OBSERVED", 8)
         return fracsim.bake(trimesh.creation.box((0.3, 0.2, 0.1)), options=options)

@@ -37,7 +37,7 @@ def block(low, high, density, parts):
         mass=mass,
         center_of_mass=(low + high) / 2,
         inertia=inertia,
-        parts=ConvexParts.of(hulls),
+        convex_parts=ConvexParts.of(hulls),
         atoms=np.arange(1),
     )
 
@@ -58,7 +58,7 @@ class SlabBox:
 
     def __post_init__(self):
         whole = block((0, 0, 0), [self.size] * 3, self.density, 2)
-        for field in ("vertices", "faces", "mass", "center_of_mass", "inertia", "parts"):
+        for field in ("vertices", "faces", "mass", "center_of_mass", "inertia", "convex_parts"):
             object.__setattr__(self, field, getattr(whole, field))
 
     @property

@@ -202,8 +202,8 @@ def test_the_info_command_reads_any_asset_and_refuses_what_is_none(slab, tmp_pat
 def test_the_view_command_draws_how_an_asset_breaks(tmp_path, capsys):
     out, figures = tmp_path / "v.png", tmp_path / "v.json"
     assert main(["view", "chair", "--scale", "0.3", "--count", "2", "--out", str(out), "--json", str(figures)]) == 0
-    blows = json.loads(figures.read_text())["blows"]
-    assert 2 <= blows[0]["pieces"] < blows[1]["pieces"]
+    impacts = json.loads(figures.read_text())["impacts"]
+    assert 2 <= impacts[0]["pieces"] < impacts[1]["pieces"]
     pixels = matplotlib.image.imread(out)
     assert pixels.shape[0] > 600
     for column in np.array_split(pixels, 4, axis=1):

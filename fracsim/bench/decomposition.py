@@ -1,6 +1,6 @@
 """Ways to make the bodies of a break: how true they are to its pieces, how still they lie, and how long they take.
 
-Every way is given the same pieces, those of held-out blows to the shipped meshes.
+Every way is given the same pieces, those of held-out impacts to the shipped meshes.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def measure(quick: bool, seed: int, progress: Callable[[float], None] = lambda _
     for mesh in MESHES:
         asset = load(mesh)
         asset.fracture(asset.sample_impulses(1, seed))  # what is worked out once and kept
-        fractures = (asset.fracture(blow) for blow in asset.sample_impulses(100 * breaks, seed))
+        fractures = (asset.fracture(impact) for impact in asset.sample_impulses(100 * breaks, seed))
         chosen = list(itertools.islice((fracture for fracture in fractures if fracture.broken), breaks))
         rows: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
         for fracture in chosen:
@@ -160,7 +160,9 @@ def _hausdorff(first: manifold3d.Manifold, second: manifold3d.Manifold, seed: in
 
 def _ghost(asset: BreakableAsset, fracture: Fracture, bodies: Sequence[Sequence[FloatArray]]) -> float:
     """m/s, the fastest piece after one second in which nothing acts on them."""
-    pieces = [replace(piece, parts=ConvexParts.of(parts)) for piece, parts in zip(fracture.pieces, bodies, strict=True)]
+    pieces = [
+        replace(piece, convex_parts=ConvexParts.of(parts)) for piece, parts in zip(fracture.pieces, bodies, strict=True)
+    ]
     client = p.connect(p.DIRECT)
     try:
         engine = Engine(client)

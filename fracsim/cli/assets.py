@@ -20,14 +20,14 @@ def bake(options: argparse.Namespace) -> dict[str, Any]:
     from ..baking import BakeOptions, bake, model_for
 
     out = options.out or Path(options.mesh.stem + ".frac")
-    learning = model_for(options.truth)
+    learning = model_for(options.simulator)
     learning = replace(learning, training=replace(learning.training, steps=options.steps))
     asset = bake(
         options.mesh,
         options.material,
         options.seed,
         BakeOptions(
-            truth=options.truth,
+            simulator=options.simulator,
             cells=options.cells,
             modes=options.modes,
             samples=options.samples,
@@ -118,15 +118,15 @@ def view(options: argparse.Namespace) -> dict[str, Any]:
         if not found:
             raise FracsimError(f"{asset.name}: none of {len(drawn)} random impulses breaks it; give one")
         chosen = np.linspace(0, len(found) - 1, options.count).round().astype(int)
-        blows = [found[k] for k in dict.fromkeys(chosen.tolist())]
+        impacts = [found[k] for k in dict.fromkeys(chosen.tolist())]
     else:
-        blows = [(impulse, asset.fracture(impulse, options.predictor))]
+        impacts = [(impulse, asset.fracture(impulse, options.predictor))]
     out = options.out or Path(f"{asset.name}.png")
-    picture_fractures(asset, [([one], fracture) for one, fracture in blows], out)
-    print(f"{out}: {asset.name} in {', '.join(str(len(fracture.pieces)) for _, fracture in blows)} pieces")
+    picture_fractures(asset, [([one], fracture) for one, fracture in impacts], out)
+    print(f"{out}: {asset.name} in {', '.join(str(len(fracture.pieces)) for _, fracture in impacts)} pieces")
     return {
         "out": str(out),
-        "blows": [
+        "impacts": [
             {
                 "point": one.point.tolist(),
                 "direction": one.direction.tolist(),
@@ -134,7 +134,7 @@ def view(options: argparse.Namespace) -> dict[str, Any]:
                 "severity": fracture.severity,
                 "pieces": len(fracture.pieces),
             }
-            for one, fracture in blows
+            for one, fracture in impacts
         ],
     }
 

@@ -25,12 +25,13 @@ def dataset_make(options: argparse.Namespace) -> dict[str, Any]:
     out = options.out or Path((options.mesh or options.like).stem + (".h5" if options.mesh else "_again.h5"))
     progress = not options.quiet
     if options.like is not None:
-        for name in ("samples", "append", "seed", "truth", "cells", "modes"):
+        for name in ("samples", "append", "seed", "simulator", "cells", "modes"):
             if getattr(options, name) is not None:
                 raise DatasetError(f"--{name} cannot be given with --like, whose header says it")
         seconds = regenerate(options.like, out, options.workers, options.backend, progress)
     else:
-        given = {name: getattr(options, name) for name in ("truth", "cells", "modes")}
+        given = {name: getattr(options, name) for name in ("simulator", "cells", "modes")}
+        given["name"] = given.pop("simulator")
         truth = SimulatorOptions(**{name: value for name, value in given.items() if value is not None})
         total = 1000 if options.samples is None else options.samples
         if options.append is not None:
@@ -59,7 +60,7 @@ def dataset_info(options: argparse.Namespace) -> dict[str, Any]:
         raise DatasetError(f"{options.dataset}: would be overwritten; name another file with --out or --json")
     figures = _describe(options.dataset)
     header = figures["header"]
-    truth = ", ".join(f"{key} {value}" for key, value in header["truth"].items())
+    truth = ", ".join(f"{key} {value}" for key, value in header["simulator"].items())
     print(f"{options.dataset}: {figures['mesh']}; {truth}; seed {header['seed']}; fracsim {header['fracsim']}")
     print_figures(figures)
     for name in figures["damaged"]:
@@ -94,7 +95,7 @@ def _describe(path: Path) -> dict[str, Any]:
                 "samples": len(count),
                 "damaged_chunks": len(damaged),
                 "vertices": len(dataset.surface.vertices),
-                "parts": len(dataset.parts.volumes),
+                "parts": len(dataset.cells.volumes),
                 "interfaces": len(dataset.file["interfaces/pairs"]),
                 "links": len(dataset.links),
             },

@@ -23,7 +23,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bake.add_argument("--out", type=Path, help="the asset to write (default: the mesh's name with .frac)")
     bake.add_argument("--material", default="ceramic", help="glass, ceramic, plaster, stone or ice")
     bake.add_argument("--seed", type=int, default=0)
-    bake.add_argument("--truth", default="modal", help="what it learns from: modal (default), elastic or radial")
+    bake.add_argument(
+        "--simulator",
+        "--truth",
+        dest="simulator",
+        default="modal",
+        help="what it learns from: modal (default), elastic or radial",
+    )
     bake.add_argument("--cells", type=int, default=5000, help="of the solid that is cut up")
     bake.add_argument("--modes", type=int, default=20, help="fracture modes")
     bake.add_argument("--samples", type=int, default=250000, help="impulses to learn from and be tested on")
@@ -39,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     view = commands.add_parser("view", help="draw how an asset breaks: field, pieces, convex parts")
     view.add_argument("asset", help="a file, or the name of an asset that ships")
-    view.add_argument("--count", type=int, default=3, help="blows, from few pieces to many (default: 3)")
+    view.add_argument("--count", type=int, default=3, help="impacts, from few pieces to many (default: 3)")
     view.add_argument("--out", type=Path, help="the picture (default: the asset's name with .png)")
     view.set_defaults(run=assets.view)
     for command in (fracture, view):
@@ -94,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make.add_argument("--append", type=int, metavar="N", help="instead: so many more than it holds")
     make.add_argument("--like", type=Path, metavar="FILE", help="make that dataset again from its own header")
     make.add_argument("--seed", type=int, help="default: 0")
-    make.add_argument("--truth", help="modal (default), elastic or radial")
+    make.add_argument("--simulator", "--truth", dest="simulator", help="modal (default), elastic or radial")
     make.add_argument("--cells", type=int, help="of the solid that is cut up (default: 5000)")
     make.add_argument("--modes", type=int, help="fracture modes, of the modal and elastic truths (default: 20)")
     make.add_argument("--workers", type=int, default=1, help="processes")

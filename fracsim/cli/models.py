@@ -36,7 +36,7 @@ def tune(options: argparse.Namespace) -> dict[str, Any]:
         with Dataset(options.dataset) as dataset:
             header = json.dumps(dataset.header, sort_keys=True)
             body, samples = BodyGeometry.read(dataset, stage.ticker("distances"))
-        samples = samples.rows(slice(options.samples))
+        samples = samples.take(slice(options.samples))
         source = f"{len(samples)} of {hashlib.sha256(header.encode()).hexdigest()}"
         search = Search(options.model, fixed, ranges, options.folds, options.seed, source)
         out.mkdir(exist_ok=True)
@@ -113,8 +113,8 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
         run = Run(options.checkpoint, options.checkpoint is not None, label=label, log=options.log, progress=tick)
         model, training = kind.fit(body, samples, chosen, options.seed, run)
         stage("validation")
-        held_out = samples.part(1).rows(slice(200))
-        error = amae(body.fields(held_out.labels), model.predict(held_out.blows)) if len(held_out) else float("nan")
+        held_out = samples.of_split(1).take(slice(200))
+        error = amae(body.fields(held_out.labels), model.predict(held_out.impacts)) if len(held_out) else float("nan")
     figures = {
         "model": options.model,
         "dataset": source,

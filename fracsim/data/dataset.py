@@ -1,6 +1,6 @@
 """Datasets on disk: one HDF5 file that says what made it, and can be made again from its own header. Offline only.
 
-A file holds the surface, the generator with everything it needs to answer again, and samples in chunks of one block,
+A file holds the surface, the simulator with everything it needs to answer again, and samples in chunks of one block,
 compressed and checksummed. It is written block by block in HDF5's single-writer-multiple-readers mode, so another
 process may read it meanwhile, and whatever stops the writer, the finished blocks stay readable.
 """
@@ -39,7 +39,7 @@ except ImportError as error:
 
 
 FORMAT = "fracsim dataset"
-VERSION = 1
+VERSION = 2
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError)  # what h5py raises on damage
 
@@ -48,7 +48,7 @@ class Dataset:
     """A dataset file, open for reading, possibly while another process writes it (if it did when this was opened, the
     file may be seen to grow; otherwise open it anew to see more).
 
-    header: what made it. surface, parts: what it is about. links: (L, 2) vertices that face each other through a thin
+    header: what made it. surface, cells: what it is about. links: (L, 2) vertices that face each other through a thin
     wall. Raises DatasetError, naming the file and the fault.
     """
 
@@ -69,7 +69,7 @@ class Dataset:
                     str(surface.attrs["name"]),
                 )
                 self.links = self.file["links"][()].astype(np.int64)
-                self.parts = _load_solid(self.file["parts"])
+                self.cells = _load_solid(self.file["cells"])
                 self.names = tuple(self.file["samples"])
                 if set(self.names) != {field.name for field in fields(Samples)}:
                     raise ValueError("its samples are not of this version")
@@ -105,28 +105,32 @@ class Dataset:
         return max((block * self.block + int(count) for block, count in enumerate(complete) if count), default=0)
 
     @cached_property
-    def generator(self) -> FractureSimulator | None:
-        """The truth itself, or None where it was one of the user's own, which no file can hold."""
-        truth = self.header["truth"]
+    def simulator(self) -> FractureSimulator | None:
+        """The simulator itself, or None where it was one of the user's own, which no file can hold."""
+        made_by = self.header["simulator"]
         with _typed(self.path):
-            if truth["truth"] not in SIMULATORS:
+            if made_by["name"] not in SIMULATORS:
                 return None
-            floor = float(truth["crumb_floor"])
-            if truth["truth"] == "radial":
-                return RadialSimulator(self.surface, self.parts, floor)
-            group, joints = self.file["atoms"], self.file["interfaces"]
-            cells, atom = _load_solid(group["cells"]), group["atom"][()].astype(np.int64)
-            rows = group["rows"][()].astype(np.float64)
+            floor = float(made_by["min_piece_volume_fraction"])
+            if made_by["name"] == "radial":
+                return RadialSimulator(self.surface, self.cells, floor)
+            group, joints = self.file["modal"], self.file["interfaces"]
+            fine_cells, fine_to_cell = _load_solid(group["fine_cells"]), group["fine_to_cell"][()].astype(np.int64)
+            impact_field = group["impact_field"][()].astype(np.float64)
             interfaces = Interfaces(
                 joints["pairs"][()].astype(np.int64), *(joints[name][()] for name in ("areas", "normals", "projected"))
             )
-            if truth["truth"] == "elastic":
+            if made_by["name"] == "elastic":
                 from ..simulators.elastic import ElasticSimulator
 
                 gauge = float(group.attrs["gauge"])
-                return ElasticSimulator(self.surface, self.parts, interfaces, rows, gauge, floor, cells, atom)
+                return ElasticSimulator(
+                    self.surface, self.cells, interfaces, impact_field, gauge, floor, fine_cells, fine_to_cell
+                )
             energies = tuple(tuple(energies) for energies in json.loads(group.attrs["energies"]))
-            return ModalSimulator(self.surface, cells, atom, self.parts, interfaces, rows, floor, energies)
+            return ModalSimulator(
+                self.surface, fine_cells, fine_to_cell, self.cells, interfaces, impact_field, floor, energies
+            )
 
     def samples(self, skip_damaged: bool = False) -> Samples:
         """All samples, in order. A damaged chunk raises DatasetError by name, or is skipped with the rest of its
@@ -146,7 +150,7 @@ class Dataset:
 
     def fields(self, labels: IntArray) -> npt.NDArray[np.float32]:
         """(N, V + E), in units of the largest extent: geodesic distance to the nearest crack at the vertices and
-        edge midpoints, capped, of fractures that leave the parts labels (N, P).
+        edge midpoints, capped, of fractures that leave the cells labels (N, P).
 
         Where cracks are fixed, the least of the stored distances to the interfaces that part pieces; else by fast
         marching, some 10 ms each."""
@@ -155,7 +159,7 @@ class Dataset:
             pairs = joints["pairs"][()]
             distances = joints["distances"][()] if "distances" in joints else None
         if distances is None:
-            curves = CurveDistances(self.parts, self.surface)
+            curves = CurveDistances(self.cells, self.surface)
             return np.array([curves.between(row) for row in labels], dtype=np.float32)
         parted = labels[:, pairs[:, 0]] != labels[:, pairs[:, 1]]
         cap = float(self.header["cap"])

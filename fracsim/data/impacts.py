@@ -19,10 +19,10 @@ RING = (0.05, 0.25)  # radii, in units of the largest extent
 
 
 def draw_impacts(surface: Surface, count: int, rng: np.random.Generator) -> tuple[Impacts, IntArray]:
-    """Blows whose severities add up to 1, and their kinds (N,).
+    """Impacts whose severities add up to 1, and their kinds (N,).
 
     Single and scattered contacts are uniform over the area, in a cone about the inward normal. The others choose
-    among POOL points of the surface, one pool for all the blows: a landing is on a flat floor, at the lowest points
+    among POOL points of the surface, one pool for all the impacts: a landing is on a flat floor, at the lowest points
     along a random way down that face it. A ring is the end of a tube: points around a circle. Both push
     one way, within TILT. A grip is two opposite points pushed towards each other, within TILT and equally hard.
     """

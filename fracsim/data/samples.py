@@ -1,4 +1,4 @@
-"""Fracture samples: impulses drawn over a surface, and what a generator says they do. Offline only.
+"""Fracture samples: impulses drawn over a surface, and what a simulator says they do. Offline only.
 
 Samples come in blocks, each drawn from its own seed, so that any number of them, made by any number of workers or in
 any number of sittings, is the beginning of one and the same sequence. ``storage`` keeps them in a file.
@@ -36,9 +36,9 @@ class Samples:
 
     faces: (N, CONTACTS) and barycentric: (N, CONTACTS, 3), where on the surface; directions: (N, CONTACTS, 3).
     severities: (N, CONTACTS), impulse / (mass * breaking velocity), 0 where there is no contact.
-    ratio: (N,), severity as a multiple of the one at which this very blow would first part the body.
+    ratio: (N,), severity as a multiple of the one at which this very impact would first part the body.
     kind: (N,), index into KINDS. labels: (N, P), the piece of each part. broken: (N, I), the interfaces that give
-    way, or (N, 0) from a generator that knows none; one that broke within a piece, its sides being joined another
+    way, or (N, 0) from a simulator that knows none; one that broke within a piece, its sides being joined another
     way, parts nothing. split: (N,), 0 train, 1 validation, 2 test. fold: (N,), 0 to FOLDS - 1, or -1 in the test
     split, which no fold may contain.
     """
@@ -55,13 +55,13 @@ class Samples:
     fold: IntArray
 
     @property
-    def blows(self) -> Impacts:
+    def impacts(self) -> Impacts:
         return Impacts(self.faces, self.barycentric, self.directions, self.severities)
 
-    def part(self, split: int) -> Samples:
-        return self.rows(self.split == split)
+    def of_split(self, split: int) -> Samples:
+        return self.take(self.split == split)
 
-    def rows(self, rows: slice | IntArray | BoolArray) -> Samples:
+    def take(self, rows: slice | IntArray | BoolArray) -> Samples:
         return Samples(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def __len__(self) -> int:
@@ -73,7 +73,7 @@ class Samples:
 
 
 def sample(
-    generator: FractureSimulator,
+    simulator: FractureSimulator,
     count: int,
     seed: int,
     progress: Callable[[float], None] = lambda _: None,
@@ -90,21 +90,21 @@ def sample(
         raise DatasetError(f"a count of samples must be at least 1 and a seed at least 0, got {count} and {seed}")
     blocks = []
     rest = list(range(len(begun), -(-count // BLOCK)))
-    for block in itertools.chain(begun, run_blocks(sample_block, generator, seed, rest, workers, backend)):
+    for block in itertools.chain(begun, run_blocks(sample_block, simulator, seed, rest, workers, backend)):
         blocks.append(transform(block))
         progress(min(1.0, len(blocks) * BLOCK / count))
-    return Samples.join(blocks).rows(slice(count))
+    return Samples.join(blocks).take(slice(count))
 
 
-def sample_block(generator: FractureSimulator, seed: int, block: int) -> Samples:
+def sample_block(simulator: FractureSimulator, seed: int, block: int) -> Samples:
     """The ``block``-th BLOCK samples of a seed."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, block)))
     with threadpool_limits(1):  # sums in one order, whatever the machine
-        shares, kind = draw_impacts(generator.surface, BLOCK, rng)
+        shares, kind = draw_impacts(simulator.surface, BLOCK, rng)
         ratio = ratios(BLOCK, rng)
-        thresholds = generator.thresholds(shares)
-        blows = shares.times(ratio * thresholds)
-        response = checked(generator, blows, thresholds, generator.fracture(blows))
+        thresholds = simulator.thresholds(shares)
+        impacts = shares.times(ratio * thresholds)
+        response = checked(simulator, impacts, thresholds, simulator.fracture(impacts))
     broken = response.broken
     split, fold = np.zeros(BLOCK, dtype=np.int64), np.full(BLOCK, -1)
     order = rng.permutation(BLOCK)
@@ -113,10 +113,10 @@ def sample_block(generator: FractureSimulator, seed: int, block: int) -> Samples
     split[order[test : test + round(VALIDATION * (BLOCK - test))]] = 1
     fold[rng.permutation(order[test:])] = np.arange(BLOCK - test) % FOLDS
     return Samples(
-        blows.faces,
-        blows.barycentric,
-        blows.directions,
-        blows.severities,
+        impacts.faces,
+        impacts.barycentric,
+        impacts.directions,
+        impacts.severities,
         ratio,
         kind,
         response.labels,
@@ -126,9 +126,9 @@ def sample_block(generator: FractureSimulator, seed: int, block: int) -> Samples
     )
 
 
-def checked(generator: FractureSimulator, blows: Impacts, thresholds: FloatArray, response: Response) -> Response:
-    """The response, if a generator of whatever origin answered as it should; DatasetError says what is wrong."""
-    name, count, parts = type(generator).__name__, len(blows), len(generator.parts.volumes)
+def checked(simulator: FractureSimulator, impacts: Impacts, thresholds: FloatArray, response: Response) -> Response:
+    """The response, if a simulator of whatever origin answered as it should; DatasetError says what is wrong."""
+    name, count, parts = type(simulator).__name__, len(impacts), len(simulator.cells.volumes)
     if np.shape(thresholds) != (count,) or not (np.isfinite(thresholds).all() and (np.asarray(thresholds) > 0).all()):
         raise DatasetError(f"{name}: thresholds must be ({count},), finite and positive")
     labels = np.asarray(response.labels)

@@ -21,13 +21,13 @@ Result = TypeVar("Result")
 
 def run_blocks(
     job: Callable[[FractureSimulator, int, int], Result],
-    generator: FractureSimulator,
+    simulator: FractureSimulator,
     seed: int,
     blocks: list[int],
     workers: int = 1,
     backend: str = "joblib",
 ) -> Iterator[Result]:
-    """``job(generator, seed, block)`` for every block, in order, whoever does it.
+    """``job(simulator, seed, block)`` for every block, in order, whoever does it.
 
     workers: processes. backend: "joblib", on this machine, or "ray", on the cluster that ray is connected to or that
     the environment's RAY_ADDRESS names, or else on this machine; the block of a node that dies is made again by
@@ -35,16 +35,16 @@ def run_blocks(
     """
     check_workers(workers, backend)
     if backend == "ray":
-        yield from _on_ray(job, generator, seed, blocks, workers)
+        yield from _on_ray(job, simulator, seed, blocks, workers)
     elif workers == 1:
         for block in blocks:
-            yield job(generator, seed, block)
+            yield job(simulator, seed, block)
     else:
         # In windows, so that no more than these wait in memory for whoever takes the results.
         with joblib.Parallel(n_jobs=workers, return_as="generator", batch_size=1) as parallel:
             for start in range(0, len(blocks), 4 * workers):
                 window = blocks[start : start + 4 * workers]
-                yield from parallel(joblib.delayed(job)(generator, seed, block) for block in window)
+                yield from parallel(joblib.delayed(job)(simulator, seed, block) for block in window)
 
 
 def check_workers(workers: int, backend: str) -> None:
@@ -56,7 +56,7 @@ def check_workers(workers: int, backend: str) -> None:
 
 def _on_ray(
     job: Callable[[FractureSimulator, int, int], Result],
-    generator: FractureSimulator,
+    simulator: FractureSimulator,
     seed: int,
     blocks: list[int],
     workers: int,
@@ -69,7 +69,7 @@ def _on_ray(
         address, count = (None, None) if "RAY_ADDRESS" in os.environ else ("local", workers)
         ray.init(address, num_cpus=count, log_to_driver=False, configure_logging=False)
     remote = ray.remote(max_retries=-1)(job)
-    shared = ray.put(generator)
+    shared = ray.put(simulator)
     # Twice as many under way as there are workers: enough to keep them busy, few enough to fit any memory.
     waiting: collections.deque[Any] = collections.deque()
     for block in blocks:

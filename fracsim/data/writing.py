@@ -43,14 +43,14 @@ def make_dataset(
     total: int,
     seed: int = 0,
     options: SimulatorOptions | None = None,
-    generator: FractureSimulator | None = None,
+    simulator: FractureSimulator | None = None,
     workers: int = 1,
     backend: str = "joblib",
     progress: bool = False,
 ) -> dict[str, float]:
     """Make a dataset of ``total`` samples, or bring the one that is there to at least as many; what is there stays.
 
-    options say which truth to build; generator is one of the user's own instead, to be passed again to go on. An
+    options say which truth to build; simulator is one of the user's own instead, to be passed again to go on. An
     interrupted file is taken up where it was left and damaged blocks are made again. Returns the seconds of each
     stage. Raises DatasetError when the file is something else, was made of another surface, of other options or from
     another seed, or is being written by another process.
@@ -72,16 +72,16 @@ def make_dataset(
         if path.exists():
             stage("check")
             with Dataset(path) as there:
-                truth = there.header["truth"]
-                if generator is None and truth["truth"] not in SIMULATORS:
+                made_by = there.header["simulator"]
+                if simulator is None and made_by["name"] not in SIMULATORS:
                     raise DatasetError(
-                        f"{path}: its truth was one of your own ({truth.get('class')}); pass that generator to go on"
+                        f"{path}: its truth was one of your own ({made_by.get('class')}); pass that simulator to go on"
                     )
-                _same(there, surface, seed, asdict(options) if generator is None else _named(generator))
-                if generator is None:
-                    generator = there.generator
-                elif not np.array_equal(generator.parts.volumes, there.parts.volumes):
-                    raise DatasetError(f"{path}: was made by a generator with other parts; name a new file")
+                _same(there, surface, seed, asdict(options) if simulator is None else _named(simulator))
+                if simulator is None:
+                    simulator = there.simulator
+                elif not np.array_equal(simulator.cells.volumes, there.cells.volumes):
+                    raise DatasetError(f"{path}: was made by a simulator with other cells; name a new file")
                 total = max(total, there.held)
                 damage = there.damage()
             for block, name in damage:
@@ -90,13 +90,13 @@ def make_dataset(
             if damage or _flagged(path):
                 _salvage(path)
         else:
-            truth = asdict(options) if generator is None else _named(generator)
-            if generator is None:
-                generator = make_simulator(surface, options, seed, stage)
-            _create(path, surface, generator, seed, truth, stage)
+            made_by = asdict(options) if simulator is None else _named(simulator)
+            if simulator is None:
+                simulator = make_simulator(surface, options, seed, stage)
+            _create(path, surface, simulator, seed, made_by, stage)
         stage("samples")
-        if generator is None:
-            raise DatasetError(f"{path}: holds no generator to go on with")
+        if simulator is None:
+            raise DatasetError(f"{path}: holds no simulator to go on with")
         with _writing(path):  # no lock of HDF5's: there is ours, and readers must not keep a writer out
             file = h5py.File(path, "r+", libver="latest", locking=False)
         try:
@@ -107,10 +107,10 @@ def make_dataset(
             wanted = np.minimum(BLOCK, total - BLOCK * np.arange(blocks))
             missing = np.flatnonzero(present < wanted).tolist()
             file.swmr_mode = True
-            results = run_blocks(sample_block, generator, seed, missing, workers, backend)
+            results = run_blocks(sample_block, simulator, seed, missing, workers, backend)
             for done, (block, samples) in enumerate(zip(missing, results, strict=True), 1):
                 with _writing(path):
-                    _append(file, block, samples.rows(slice(int(wanted[block]))))
+                    _append(file, block, samples.take(slice(int(wanted[block]))))
                 stage("samples", done / len(missing))
         finally:
             with _writing(path):
@@ -125,16 +125,16 @@ def regenerate(
     if Path(path).exists():
         raise DatasetError(f"{path}: exists already; name a new file")
     with Dataset(source) as old:
-        kind = old.header["truth"]["truth"]
+        kind = old.header["simulator"]["name"]
         if kind == "elastic":
             raise DatasetError(
                 f"{source}: elastic stress is kept in the file but cannot be worked out again bit by bit"
             )
         if kind not in SIMULATORS:
             raise DatasetError(f"{source}: its truth was one of your own and cannot be made again from the file")
-        _same(old, old.surface, old.seed, old.header["truth"])
-        surface, total, seed, truth = old.surface, old.held, old.seed, old.header["truth"]
-    return make_dataset(path, surface, total, seed, SimulatorOptions(**truth), None, workers, backend, progress)
+        _same(old, old.surface, old.seed, old.header["simulator"])
+        surface, total, seed, made_by = old.surface, old.held, old.seed, old.header["simulator"]
+    return make_dataset(path, surface, total, seed, SimulatorOptions(**made_by), None, workers, backend, progress)
 
 
 def sampling_rules() -> dict[str, Any]:
@@ -207,20 +207,20 @@ def _beside(path: Path) -> Iterator[h5py.File]:
 def _create(
     path: Path,
     surface: Surface,
-    generator: FractureSimulator,
+    simulator: FractureSimulator,
     seed: int,
-    truth: dict[str, Any],
+    made_by: dict[str, Any],
     stage: Stages,
 ) -> None:
-    if not np.array_equal(generator.surface.vertices, surface.vertices):
-        raise DatasetError(f"{path}: the generator is of another surface")
+    if not np.array_equal(simulator.surface.vertices, surface.vertices):
+        raise DatasetError(f"{path}: the simulator is of another surface")
     # A first answer, before there is a file: is it one, and does this truth say which interfaces gave way?
-    blows, _ = draw_impacts(surface, 4, np.random.default_rng(0))
-    told = checked(generator, blows, generator.thresholds(blows), generator.fracture(blows)).broken
+    impacts, _ = draw_impacts(surface, 4, np.random.default_rng(0))
+    told = checked(simulator, impacts, simulator.thresholds(impacts), simulator.fracture(impacts)).broken
     header = {
         "fracsim": version("fracsim"),
         "seed": seed,
-        "truth": truth,
+        "simulator": made_by,
         "sampling": sampling_rules(),
         "cap": CAP,
         "units": "lengths in units of the largest extent; severity = impulse / (mass * breaking velocity)",
@@ -234,28 +234,28 @@ def _create(
         _put(group, "faces", surface.faces.astype(np.int32))
         group.attrs["scale"], group.attrs["offset"], group.attrs["name"] = surface.scale, surface.offset, surface.name
         _put(file, "links", facing_vertices(surface).astype(np.int32))
-        _save_solid(file.create_group("parts"), generator.parts)
-        if truth["truth"] in ("modal", "elastic"):
-            group = file.create_group("atoms")
-            given: Any = generator
-            _save_solid(group.create_group("cells"), given.cells)
-            _put(group, "atom", given.atom.astype(np.int32))
-            if isinstance(generator, ModalSimulator):
-                _put(group, "rows", generator.rows)
-                group.attrs["energies"] = json.dumps(generator.energies)
+        _save_solid(file.create_group("cells"), simulator.cells)
+        if made_by["name"] in ("modal", "elastic"):
+            group = file.create_group("modal")
+            given: Any = simulator
+            _save_solid(group.create_group("fine_cells"), given.fine_cells)
+            _put(group, "fine_to_cell", given.fine_to_cell.astype(np.int32))
+            if isinstance(simulator, ModalSimulator):
+                _put(group, "impact_field", simulator.impact_field)
+                group.attrs["energies"] = json.dumps(simulator.energies)
             else:
-                _put(group, "rows", given.rows.astype(np.float32))
+                _put(group, "impact_field", given.impact_field.astype(np.float32))
                 group.attrs["gauge"] = given.gauge
-        joints = interfaces_between(generator.parts)
+        joints = interfaces_between(simulator.cells)
         group = file.create_group("interfaces")
         _put(group, "pairs", joints.pairs.astype(np.int32))
         for name in ("areas", "normals", "projected"):
             _put(group, name, getattr(joints, name))
-        if generator.fixed_cracks:
-            curves = CurveDistances(generator.parts, surface)
+        if simulator.fixed_cracks:
+            curves = CurveDistances(simulator.cells, surface)
             distances, _ = interface_distances(curves, joints.pairs, stage.ticker("distances"))
             _put(group, "distances", distances.astype(np.float16))
-        parts = len(generator.parts.volumes)
+        cells = len(simulator.cells.volumes)
         interfaces = 0 if told is None else told.shape[1]
         group = file.create_group("samples")
         contacts = (CONTACTS,)
@@ -266,13 +266,13 @@ def _create(
             "severities": (contacts, np.float64),
             "ratio": ((), np.float64),
             "kind": ((), np.int8),
-            "labels": ((parts,), np.uint8 if parts <= 256 else np.uint16 if parts <= 65536 else np.int64),
+            "labels": ((cells,), np.uint8 if cells <= 256 else np.uint16 if cells <= 65536 else np.int64),
             "broken": ((-(-interfaces // 8),), np.uint8),
             "split": ((), np.int8),
             "fold": ((), np.int8),
         }
         for name, (shape, dtype) in shapes.items():
-            if 0 in shape:  # a generator that knows no interfaces
+            if 0 in shape:  # a simulator that knows no interfaces
                 shape = (1,)
             group.create_dataset(
                 name,
@@ -332,12 +332,12 @@ def _salvage(path: Path) -> None:
         new[:] = complete
 
 
-def _named(generator: FractureSimulator) -> dict[str, Any]:
-    """What a header can say of a generator of the user's own."""
-    return {"truth": "own", "class": type(generator).__name__}
+def _named(simulator: FractureSimulator) -> dict[str, Any]:
+    """What a header can say of a simulator of the user's own."""
+    return {"name": "own", "class": type(simulator).__name__}
 
 
-def _same(there: Dataset, surface: Surface, seed: int, truth: dict[str, Any]) -> None:
+def _same(there: Dataset, surface: Surface, seed: int, made_by: dict[str, Any]) -> None:
     wrong = []
     if not (
         np.array_equal(there.surface.vertices, surface.vertices) and np.array_equal(there.surface.faces, surface.faces)
@@ -345,8 +345,8 @@ def _same(there: Dataset, surface: Surface, seed: int, truth: dict[str, Any]) ->
         wrong.append("another surface")
     if there.seed != seed:
         wrong.append(f"seed {there.seed}")
-    found = there.header["truth"]
-    wrong += [f"{key} {found[key]}" for key in found if found[key] != truth.get(key)]
+    found = there.header["simulator"]
+    wrong += [f"{key} {found[key]}" for key in found if found[key] != made_by.get(key)]
     if wrong:
         raise DatasetError(f"{there.path}: was made from {', '.join(wrong)}; ask for the same, or name a new file")
     if there.header["sampling"] != sampling_rules():

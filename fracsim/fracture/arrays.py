@@ -22,7 +22,7 @@ class AssetArrays:
 
     faces: (F, 3) of the surface, whose vertices are the first V points. points, triangles, sides: the atoms'
     complex. rows: (V, A) impact field. pairs, areas, normals, projected: the interfaces.
-    distances: (I, V) geodesic distances to their curves. shores: (I, S) vertices along these, -1 where an
+    distances: (I, V) geodesic distances to their curves. interface_vertices: (I, S) vertices along these, -1 where an
     interface does not reach the surface. hull_points, hull_faces: the atoms' convex parts one after the other,
     with hull_sizes (H, 2) points and faces in each, and hull_atoms (H,); body_...: those of the whole.
     """
@@ -31,13 +31,13 @@ class AssetArrays:
     points: FloatArray
     triangles: IntArray
     sides: IntArray
-    rows: npt.NDArray[np.float32]
+    impact_field: npt.NDArray[np.float32]
     pairs: IntArray
     areas: FloatArray
     normals: FloatArray
     projected: FloatArray
     distances: npt.NDArray[np.float16]
-    shores: IntArray
+    interface_vertices: IntArray
     hull_points: FloatArray
     hull_faces: IntArray
     hull_sizes: IntArray
@@ -63,36 +63,38 @@ class AssetArrays:
     @cached_property
     def vertex_atom(self) -> IntArray:
         """(V,) the atom of each vertex."""
-        return vertex_cells(self.triangles, self.sides, len(self.points))[: len(self.rows)]
+        return vertex_cells(self.triangles, self.sides, len(self.points))[: len(self.impact_field)]
 
     @cached_property
-    def coast(self) -> tuple[IntArray, FloatArray]:
+    def trace(self) -> tuple[IntArray, FloatArray]:
         """(U,) the vertices along any shore, all that a segmentation asks a field for, and their distances (I, U)."""
-        vertices = np.unique(self.shores[self.shores >= 0])
+        vertices = np.unique(self.interface_vertices[self.interface_vertices >= 0])
         return vertices, np.ascontiguousarray(self.distances[:, vertices])
 
     @cached_property
-    def basins(self) -> AtomWatershed:
+    def atom_watershed(self) -> AtomWatershed:
         """On the vertices of the coast."""
-        vertices, distances = self.coast
-        shores = np.where(self.shores >= 0, np.searchsorted(vertices, self.shores), -1)
-        return AtomWatershed.of(shores, distances, self.pairs, self.areas, self.complex.count)
+        vertices, distances = self.trace
+        interface_vertices = np.where(
+            self.interface_vertices >= 0, np.searchsorted(vertices, self.interface_vertices), -1
+        )
+        return AtomWatershed.of(interface_vertices, distances, self.pairs, self.areas, self.complex.count)
 
     @cached_property
     def whole(self) -> Domain:
         return Domain.of(np.arange(self.complex.count), self.interfaces, self.moments[0])
 
     @cached_property
-    def parts(self) -> ConvexParts:
+    def atom_convex_parts(self) -> ConvexParts:
         """The atoms' convex parts."""
         return ConvexParts.of(np.split(self.hull_points, np.cumsum(self.hull_sizes[:, 0])[:-1]))
 
     @cached_property
-    def body_parts(self) -> ConvexParts:
+    def whole_convex_parts(self) -> ConvexParts:
         return ConvexParts.of(np.split(self.body_points, np.cumsum(self.body_sizes[:, 0])[:-1]))
 
     @cached_property
-    def part_rows(self) -> list[list[int]]:
+    def convex_parts_of_atom(self) -> list[list[int]]:
         """Which of the parts each atom has."""
         rows: list[list[int]] = [[] for _ in range(self.complex.count)]
         for k, atom in enumerate(self.hull_atoms.tolist()):
@@ -102,9 +104,9 @@ class AssetArrays:
     @cached_property
     def weakest(self) -> tuple[FloatArray, FloatArray]:
         """(V,) severities below which no point of the faces around a vertex can be hit to any effect: by one
-        blow, nothing parts; by several, each counted as a share of its own, no interface even breaks."""
+        impact, nothing parts; by several, each counted as a share of its own, no interface even breaks."""
         pairs = self.pairs
-        jump = np.abs(self.rows[:, pairs[:, 0]] - self.rows[:, pairs[:, 1]]).astype(np.float64)
+        jump = np.abs(self.impact_field[:, pairs[:, 0]] - self.impact_field[:, pairs[:, 1]]).astype(np.float64)
         # Between vertices the field is linear, so no jump there exceeds the largest around; and no direction
         # drives an interface by more than the whole jump, as neither κ nor β exceeds 1.
         start, end = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]).T
@@ -122,12 +124,12 @@ class AssetArrays:
 class SimulatorRecord:
     """What the asset was baked from. kind: "modal", whose impact field the asset carries and can answer from; any
     other is known by its samples alone. least: total severity below which none of these broke, halved to be safe.
-    typical: the median one at which a single blow first parts the body.
+    typical: the median one at which a single impact first parts the body.
     """
 
-    kind: str = "modal"
-    least: float = 0.0
-    typical: float = 1.0
+    simulator: str = "modal"
+    min_severity: float = 0.0
+    typical_severity: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +141,9 @@ class Domain:
     """
 
     atoms: IntArray
-    rows: IntArray
+    interface_indices: IntArray
     interfaces: Interfaces
-    inside: npt.NDArray[np.bool_]
+    is_inside: npt.NDArray[np.bool_]
     volumes: FloatArray
     share: float
 

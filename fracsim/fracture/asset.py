@@ -39,7 +39,7 @@ class BreakableAsset:
     """A breakable object: made by ``fracsim.bake``, read by ``fracsim.load``.
 
     scale: m, its largest extent. offset: (3,) m, where the centre of its bounding box lies in its own frame.
-    cap, crumb_floor: of the largest extent, of the volume. metadata: how it was baked and how good it is.
+    cap, min_piece_volume_fraction: of the largest extent, of the volume. metadata: how it was baked and how good it is.
     """
 
     name: str
@@ -47,11 +47,11 @@ class BreakableAsset:
     scale: float
     offset: FloatArray
     cap: float
-    crumb_floor: float
+    min_piece_volume_fraction: float
     arrays: AssetArrays
     model: FieldWeights
     metadata: dict[str, Any]
-    truth: SimulatorRecord = field(default_factory=SimulatorRecord)
+    baked_from: SimulatorRecord = field(default_factory=SimulatorRecord)
 
     # The body as a whole
 
@@ -72,7 +72,7 @@ class BreakableAsset:
 
     @property
     def vertex_count(self) -> int:
-        return len(self.arrays.rows)
+        return len(self.arrays.impact_field)
 
     @property
     def volume(self) -> float:
@@ -101,9 +101,9 @@ class BreakableAsset:
         return self._hulls(arrays.body_points, arrays.body_faces, arrays.body_sizes)
 
     @property
-    def parts(self) -> ConvexParts:
+    def convex_parts(self) -> ConvexParts:
         """The same as an engine takes them in."""
-        return replace(self.arrays.body_parts, scale=self.scale, offset=self.offset)
+        return replace(self.arrays.whole_convex_parts, scale=self.scale, offset=self.offset)
 
     @cached_property
     def reach(self) -> float:
@@ -141,9 +141,9 @@ class BreakableAsset:
     @cached_property
     def _weakest(self) -> tuple[FloatArray, FloatArray]:
         """``AssetArrays.weakest``, or what is known of it where the truth is known by its samples alone."""
-        if self.truth.kind == "modal":
+        if self.baked_from.simulator == "modal":
             return self.arrays.weakest
-        least = np.full(self.vertex_count, self.truth.least)
+        least = np.full(self.vertex_count, self.baked_from.min_severity)
         return least, least
 
     def _severities(self, impulses: Sequence[Impulse]) -> FloatArray:
@@ -173,9 +173,9 @@ class BreakableAsset:
 
     def _nothing(self, domain: Domain) -> Fracture:
         answer = Answer(domain, "none", 0.0, False, {})
-        return self._finish(answer, np.zeros(len(domain.atoms), np.int64), np.zeros(len(domain.rows)))
+        return self._finish(answer, np.zeros(len(domain.atoms), np.int64), np.zeros(len(domain.interface_indices)))
 
-    def fragment(self, piece: Piece) -> BreakablePiece:
+    def breakable_piece(self, piece: Piece) -> BreakablePiece:
         """One of its pieces as something that can be struck and broken in turn."""
         return BreakablePiece(self, piece)
 
@@ -184,24 +184,26 @@ class BreakableAsset:
         if "prepared" not in vars(self.arrays):
             nothing = Impulse(self.vertices[0], np.array([0.0, 0.0, 1.0]), 0.0)
             for piece in self._fracture([nothing], "field", gated=False).pieces:
-                _ = piece.parts
-            _ = self.arrays.weakest, self.arrays.body_parts
+                _ = piece.convex_parts
+            _ = self.arrays.weakest, self.arrays.whole_convex_parts
             vars(self.arrays)["prepared"] = True
 
     def _fracture(
         self, impulses: Sequence[Impulse], predictor: str, gated: bool, fragment: BreakablePiece | None = None
     ) -> Fracture:
-        """gated: whether blows that are surely too weak are spared the model, which is to be told when it is judged.
+        """gated: whether impacts that are surely too weak are spared the model, which is to be told when it is judged.
 
-        A piece answers with the model of the whole. A blow leaves its momentum near the contact whatever the size of
+        A piece answers with the model of the whole. An impact leaves its momentum near the contact whatever the size of
         the body, and what would have gone on into the atoms that are gone stays in those that are left, spread over
         all of them: so the jumps between these are as in the whole body under the same impulse, and cracks that are
         there already only take interfaces out of it.
         """
         if predictor not in PREDICTORS:
             raise FracsimError(f"unknown predictor {predictor!r}; use one of {', '.join(PREDICTORS)}")
-        if predictor == "modes" and self.truth.kind != "modal":
-            raise FracsimError(f"{self.name}: was baked from a truth that it does not carry ({self.truth.kind})")
+        if predictor == "modes" and self.baked_from.simulator != "modal":
+            raise FracsimError(
+                f"{self.name}: was baked from a truth that it does not carry ({self.baked_from.simulator})"
+            )
         begin = time.perf_counter()
         arrays = self.arrays
         domain = arrays.whole if fragment is None else fragment.domain
@@ -218,9 +220,12 @@ class BreakableAsset:
         begin = time.perf_counter()
         pairs, count = domain.interfaces.pairs, len(domain.atoms)
         if predictor == "modes":
-            rows = np.einsum("kc,kca->ka", barycentric, arrays.rows[corners])
+            rows = np.einsum("kc,kca->ka", barycentric, arrays.impact_field[corners])
             broken = (
-                load_ratios(rows[None], directions[None], severities[None], arrays.interfaces)[0, domain.rows] >= 1.0
+                load_ratios(rows[None], directions[None], severities[None], arrays.interfaces)[
+                    0, domain.interface_indices
+                ]
+                >= 1.0
             )
         elif len(pairs) == 0 or (gated and not self._may_break(corners, barycentric, severities, fragment is None)):
             answer.timings["field"] = _ms(begin)
@@ -229,19 +234,21 @@ class BreakableAsset:
             scores = np.asarray(self.model.scores(corners, barycentric, directions, severities, arrays.pairs))
             if scores.shape != (len(arrays.pairs),):
                 raise FieldError(f"{self.name}: the model gives scores of shape {scores.shape}, not one an interface")
-            scores = scores[domain.rows].astype(np.float64)
+            scores = scores[domain.interface_indices].astype(np.float64)
             if not (np.isfinite(scores).all() and (scores >= 0.0).all()):
                 raise FieldError(
                     f"{self.name}: the model's scores are negative or not finite; no fracture follows from them"
                 )
             if predictor == "field":
                 parting = minimax_scores(scores, pairs, count).astype(np.float64)
-                udf = field_from_scores(parting, arrays.coast[1][domain.rows], self.cap)
+                udf = field_from_scores(parting, arrays.trace[1][domain.interface_indices], self.cap)
                 answer.timings["field"] = _ms(begin)
                 return self._cut(answer, udf, parting)
             broken = scores >= self.model.level[0]
         labels = components(~broken[None], pairs, count)[0]
-        labels = merge_small_pieces(labels, domain.volumes, domain.interfaces, self.crumb_floor / domain.share)
+        labels = merge_small_pieces(
+            labels, domain.volumes, domain.interfaces, self.min_piece_volume_fraction / domain.share
+        )
         answer.timings["labels"] = _ms(begin)
         return self._finish(answer, labels, separated(labels, pairs).astype(np.float64))
 
@@ -257,7 +264,7 @@ class BreakableAsset:
             raise FieldError(f"{self.name}: the field holds values that are not finite; no fracture follows from it")
         given = values / self.scale
         answer = Answer(self.arrays.whole, "given", 0.0, False, {})
-        return self._cut(answer, given[self.arrays.coast[0]], given)
+        return self._cut(answer, given[self.arrays.trace[0]], given)
 
     def sample_impulses(self, count: int, seed: int | np.random.Generator) -> list[Impulse]:
         """Single impulses over the area, in a cone about the inward normal, at 0.3 to 5 times what first
@@ -268,14 +275,14 @@ class BreakableAsset:
         face, barycentric = pool.draw(count, rng)
         directions = cone(-pool.normals[face], CONE, rng)
         ratio = ratios(count, rng)
-        severity = ratio * self.truth.typical
-        if self.truth.kind == "modal":
-            rows = pool.rows(self.arrays.rows, face[:, None], barycentric[:, None])
+        severity = ratio * self.baked_from.typical_severity
+        if self.baked_from.simulator == "modal":
+            rows = pool.rows(self.arrays.impact_field, face[:, None], barycentric[:, None])
             drive = load_ratios(rows, directions[:, None], np.ones((count, 1)), self.arrays.interfaces)
             severity = ratio / weakest_cut(drive, self.arrays.pairs, self.arrays.complex.count)
         magnitude = severity * self.mass * self.material.breaking_velocity
         points = pool.at(face, barycentric) * self.scale + self.offset
-        return [Impulse(*blow) for blow in zip(points, directions, magnitude, strict=True)]
+        return [Impulse(*impact) for impact in zip(points, directions, magnitude, strict=True)]
 
     # Parts of the above
 
@@ -293,8 +300,10 @@ class BreakableAsset:
         """udf: (U,) on the coast. given: what the field everywhere follows from, as ``_finish`` takes it."""
         begin = time.perf_counter()
         domain = answer.domain
-        labels = self.arrays.basins.labels(udf, self.model.pass_height, domain.inside)[domain.atoms]
-        labels = merge_small_pieces(labels, domain.volumes, domain.interfaces, self.crumb_floor / domain.share)
+        labels = self.arrays.atom_watershed.labels(udf, self.model.pass_height, domain.is_inside)[domain.atoms]
+        labels = merge_small_pieces(
+            labels, domain.volumes, domain.interfaces, self.min_piece_volume_fraction / domain.share
+        )
         answer.timings["segmentation"] = _ms(begin)
         return self._finish(answer, labels, given)
 
@@ -318,7 +327,7 @@ class BreakableAsset:
         def udf() -> FloatArray:
             if answer.predictor == "given":
                 return given * self.scale
-            return field_from_scores(given, arrays.distances[domain.rows], self.cap) * self.scale
+            return field_from_scores(given, arrays.distances[domain.interface_indices], self.cap) * self.scale
 
         return Fracture(
             pieces, answer.timings, answer.predictor, answer.severity, answer.clamped, area, vertex_labels, udf
@@ -326,11 +335,11 @@ class BreakableAsset:
 
     def _pieces(self, groups: Sequence[IntArray]) -> tuple[Piece, ...]:
         arrays = self.arrays
-        parts = replace(arrays.parts, scale=self.scale, offset=self.offset)
+        parts = replace(arrays.atom_convex_parts, scale=self.scale, offset=self.offset)
 
         def piece(atoms: IntArray) -> Piece:
             volume, mass, center, inertia = self._mass_properties(atoms)
-            rows = [row for atom in atoms.tolist() for row in arrays.part_rows[atom]]
+            rows = [row for atom in atoms.tolist() for row in arrays.convex_parts_of_atom[atom]]
 
             def hulls() -> tuple[Hull, ...]:
                 return tuple(self._atom_hulls[row] for row in rows)
@@ -339,7 +348,7 @@ class BreakableAsset:
                 vertices, faces, outer = arrays.complex.surface(np.isin(np.arange(arrays.complex.count), atoms))
                 return vertices * self.scale + self.offset, faces, outer
 
-            return Piece(volume, mass, center, inertia, parts.some(rows), atoms, hulls, surface)
+            return Piece(volume, mass, center, inertia, parts.select(rows), atoms, hulls, surface)
 
         return tuple(piece(group) for group in groups)
 
@@ -377,9 +386,9 @@ class BreakableAsset:
             "scale": self.scale,
             "offset": self.offset.tolist(),
             "cap": self.cap,
-            "crumb_floor": self.crumb_floor,
+            "min_piece_volume_fraction": self.min_piece_volume_fraction,
             "metadata": self.metadata,
-            "truth": asdict(self.truth),
+            "baked_from": asdict(self.baked_from),
         }
         write_beside(Path(path), save(tensors, metadata={"fracsim": json.dumps(header, sort_keys=True)}))
 
@@ -416,7 +425,7 @@ class BreakablePiece:
     @cached_property
     def reach(self) -> float:
         """m, from the centre of mass to the furthest point of the convex parts."""
-        parts = self.piece.parts
+        parts = self.piece.convex_parts
         points = np.concatenate(parts.points) * parts.scale + parts.offset
         return float(np.linalg.norm(points - self.piece.center_of_mass, axis=1).max())
 
@@ -444,7 +453,7 @@ class BreakablePiece:
         """What no impulse at all would do; asks no model."""
         return self.asset._nothing(self.domain)
 
-    def fragment(self, piece: Piece) -> BreakablePiece:
+    def breakable_piece(self, piece: Piece) -> BreakablePiece:
         """One of its pieces, which is one of the asset's."""
         return BreakablePiece(self.asset, piece)
 
@@ -458,7 +467,7 @@ class BreakablePiece:
 
     def locate(self, points: FloatArray) -> tuple[IntArray, FloatArray]:
         """The vertices of the asset's surface nearest to ``points`` (K, 3) m that the piece has, as
-        ``BreakableAsset._locate`` would give them: a blow on a crack counts where the surface is next."""
+        ``BreakableAsset._locate`` would give them: an impact on a crack counts where the surface is next."""
         own, tree = self._outside
         nearest = own[tree.query((points - self.asset.offset) / self.asset.scale)[1]]
         return np.repeat(nearest[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(points), 1))
@@ -509,11 +518,11 @@ def _parse(data: bytes, where: str) -> BreakableAsset:
             scale=float(header["scale"]),
             offset=np.array(header["offset"], dtype=np.float64),
             cap=float(header["cap"]),
-            crumb_floor=float(header["crumb_floor"]),
+            min_piece_volume_fraction=float(header["min_piece_volume_fraction"]),
             arrays=AssetArrays(**arrays),
             model=model,
             metadata=header["metadata"],
-            truth=SimulatorRecord(**header.get("truth", {})),
+            baked_from=SimulatorRecord(**header["baked_from"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise AssetError(f"{where}: an entry of the asset is missing or malformed ({error}); {again}") from error

@@ -9,28 +9,34 @@ import numpy as np
 from .arrays import AssetArrays
 from .predictor import FieldWeights
 
-FORMAT = 2
+FORMAT = 3
 SUFFIX = ".frac"
 
 
 def contradictions(arrays: AssetArrays, model: FieldWeights) -> Iterator[str]:
     """What cannot be, so that no later question trips over it: indices out of range, sizes that do not agree."""
-    vertices, atoms, interfaces = *arrays.rows.shape, len(arrays.pairs)
+    vertices, atoms, interfaces = *arrays.impact_field.shape, len(arrays.pairs)
     for name, limit in (
         ("faces", vertices),
         ("triangles", len(arrays.points)),
         ("sides", atoms),
         ("pairs", atoms),
-        ("shores", vertices),
+        ("interface_vertices", vertices),
         ("hull_atoms", atoms),
     ):
         values = getattr(arrays, name)
-        lowest = -1 if name in ("sides", "shores") else 0
+        lowest = -1 if name in ("sides", "interface_vertices") else 0
         if values.size and not (lowest <= values.min() and values.max() < limit):
             yield f"{name} points outside its range"
     if vertices > len(arrays.points) or len(model.coordinates) != vertices:
         yield "the numbers of vertices do not agree"
-    if not interfaces == len(arrays.distances) == len(arrays.shores) == len(arrays.normals) == len(model.slope):
+    if (
+        not interfaces
+        == len(arrays.distances)
+        == len(arrays.interface_vertices)
+        == len(arrays.normals)
+        == len(model.slope)
+    ):
         yield "the numbers of interfaces do not agree"
     if arrays.distances.shape != (interfaces, vertices):
         yield "the distances do not fit the vertices"

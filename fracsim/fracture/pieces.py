@@ -31,7 +31,7 @@ class ConvexParts:
         offset = np.zeros(3) if offset is None else offset
         return cls(tuple(points), tuple(_group(some) for some in points), scale, offset)
 
-    def some(self, chosen: Sequence[int]) -> ConvexParts:
+    def select(self, chosen: Sequence[int]) -> ConvexParts:
         """These of them."""
         points, blocks = tuple(self.points[k] for k in chosen), tuple(self.blocks[k] for k in chosen)
         return ConvexParts(points, blocks, self.scale, self.offset)
@@ -64,7 +64,7 @@ class Piece:
     mass: float
     center_of_mass: FloatArray
     inertia: FloatArray
-    parts: ConvexParts
+    convex_parts: ConvexParts
     atoms: IntArray
     build_hulls: Callable[[], tuple[Hull, ...]] = field(repr=False)
     build_surface: Callable[[], tuple[FloatArray, IntArray, BoolArray]] = field(repr=False)

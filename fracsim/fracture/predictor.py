@@ -1,7 +1,7 @@
 """The default model: impulse in, unsigned distance field out, in numpy alone.
 
-A small network sees where the blow lands and gives how strongly it moves every atom, and, where a truth turns pushes
-into pulls, what it does at every interface beside that; blows that act together add up. What opens an interface
+A small network sees where the impact lands and gives how strongly it moves every atom, and, where a truth turns pushes
+into pulls, what it does at every interface beside that; impacts that act together add up. What opens an interface
 becomes its break score, and the field is the min-plus product of scores with the geodesic distances to the
 interfaces, which the mesh fixes: nothing per vertex depends on the impulse but that.
 """
@@ -26,8 +26,8 @@ class FieldWeights:
 
     coordinates: (V, D), the surface coordinates of each vertex. weights_k, biases_k: a perceptron from D to C with
     SiLU between, beside which ``skip`` (D, C) runs straight. Of the C outputs the first A are potentials of the
-    atoms: an interface opens along the blow by the difference across it. The other 9 I, or none, are a 3 x 3 response
-    of each interface, (3, 3, I): an opening along axis a for a blow along axis b.
+    atoms: an interface opens along the impact by the difference across it. The other 9 I, or none, are a 3 x 3 response
+    of each interface, (3, 3, I): an opening along axis a for an impact along axis b.
     slope, offset, push, shear: (I,), from opening to score. normals: (I, 3). severity: (1,), the largest seen in
     training. level: (1,), the score from which an interface counts as a crack.
     """

@@ -13,7 +13,7 @@ from .pieces import Piece
 
 @dataclass(frozen=True, eq=False)
 class Fracture:
-    """What a blow does to an asset.
+    """What an impact does to an asset.
 
     pieces: one for each label; a single one is the unbroken body. timings: ms by stage.
     severity: the impulse over mass times breaking velocity; clamped: whether it lay beyond what the model was

@@ -1,6 +1,6 @@
-"""The breaking rule: what a blow does to the interfaces between atoms, and which atoms stay together.
+"""The breaking rule: what an impact does to the interfaces between atoms, and which atoms stay together.
 
-Shared by the generator (offline) and the ``modes`` predictor (online); numpy and scipy only.
+Shared by the simulator (offline) and the ``modes`` predictor (online); numpy and scipy only.
 """
 
 from __future__ import annotations

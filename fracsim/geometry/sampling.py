@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ..common.arrays import FloatArray, IntArray
 
 CONE = np.deg2rad(60.0)  # half angle about the inward normal that directions are drawn from
-SEVERITY = (0.3, 5.0)  # log-uniform range, of the severity at which the blow would first part the body
+SEVERITY = (0.3, 5.0)  # log-uniform range, of the severity at which the impact would first part the body
 
 
 class SurfacePoints:

@@ -28,9 +28,9 @@ def evaluate_asset(
     Of at most ``most`` test samples. ARI, acceptance and AMAE are means over the impulses that truly break;
     whether it breaks at all is scored apart, as balanced accuracy.
     """
-    test = samples.part(2)
+    test = samples.of_split(2)
     count = min(most, len(test))
-    nearest = Nearest.fit(body, samples, NearestOptions(), 0)[0].predict_labels(test.rows(slice(count)).blows)
+    nearest = Nearest.fit(body, samples, NearestOptions(), 0)[0].predict_labels(test.take(slice(count)).impacts)
     points = SurfacePoints(asset.vertices, asset.faces)
     unit = asset.mass * asset.material.breaking_velocity
     vertex_atom, pairs, distances = asset.arrays.vertex_atom, asset.arrays.pairs, asset.arrays.distances
@@ -39,9 +39,9 @@ def evaluate_asset(
     for k in range(count):
         there = np.flatnonzero(test.severities[k])
         where = points.at(test.faces[k, there], test.barycentric[k, there])
-        blow = zip(where, test.directions[k, there], test.severities[k, there] * unit, strict=True)
+        impact = zip(where, test.directions[k, there], test.severities[k, there] * unit, strict=True)
         # The gate is made from the truth; a model is judged by its own answers.
-        fracture = asset._fracture([Impulse(*values) for values in blow], "field", gated=False)
+        fracture = asset._fracture([Impulse(*values) for values in impact], "field", gated=False)
         broke[k] = test.labels[k].any(), fracture.broken, nearest[k].any()
         if broke[k, 0]:
             truth = test.labels[k][vertex_atom]

@@ -37,54 +37,54 @@ class Atoms:
     """cells: the fine solid. atom: (C,), the atom of each cell. parts: the atoms, with the surface for outside.
     interfaces: between them. own: whether the truth's labels speak of these very atoms."""
 
-    cells: Solid
-    atom: IntArray
-    parts: Solid
+    fine_cells: Solid
+    fine_to_atom: IntArray
+    solid: Solid
     interfaces: Interfaces
-    own: bool
-    crumb_floor: float
+    are_the_simulators: bool
+    min_piece_volume_fraction: float
 
     def project(self, samples: Samples) -> Samples:
         """The samples in terms of atoms: each takes the label that most of its volume has, and an atom cut off from
         the rest of its piece is a piece of its own."""
-        if self.own:
+        if self.are_the_simulators:
             if samples.broken.shape[1]:
                 return samples
             return replace(samples, broken=separated(samples.labels, self.interfaces.pairs))
-        count = len(self.parts.volumes)
+        count = len(self.solid.volumes)
         labels = samples.labels
         width = int(labels.max()) + 1
         votes = np.empty((len(labels), count), dtype=np.int64)
         for row, label in enumerate(labels):
-            weight = np.bincount(self.atom * width + label, self.cells.volumes, minlength=count * width)
+            weight = np.bincount(self.fine_to_atom * width + label, self.fine_cells.volumes, minlength=count * width)
             votes[row] = weight.reshape(count, width).argmax(axis=1)
         broken = separated(votes, self.interfaces.pairs)
-        merged = pieces_from_broken(broken, self.parts, self.interfaces, self.crumb_floor).labels
+        merged = pieces_from_broken(broken, self.solid, self.interfaces, self.min_piece_volume_fraction).labels
         return replace(samples, labels=merged, broken=separated(merged, self.interfaces.pairs))
 
 
-def observe_fractures(generator: FractureSimulator, seed: int) -> list[Samples]:
+def observe_fractures(simulator: FractureSimulator, seed: int) -> list[Samples]:
     """The first blocks of a truth that has no atoms of its own, for ``atoms_for``; none of any other."""
-    return [] if generator.fixed_cracks else [sample_block(generator, seed, block) for block in range(OBSERVED_KEPT)]
+    return [] if simulator.fixed_cracks else [sample_block(simulator, seed, block) for block in range(OBSERVED_KEPT)]
 
 
-def atoms_for(generator: FractureSimulator, watched: list[Samples], crumb_floor: float) -> Atoms:
-    """The generator's own atoms where its cracks are fixed, or those seen in the training fractures ``watched``."""
-    parts = generator.parts
-    if generator.fixed_cracks:
-        cells, atom = getattr(generator, "cells", None), getattr(generator, "atom", None)
+def atoms_for(simulator: FractureSimulator, watched: list[Samples], min_piece_volume_fraction: float) -> Atoms:
+    """The simulator's own atoms where its cracks are fixed, or those seen in the training fractures ``watched``."""
+    parts = simulator.cells
+    if simulator.fixed_cracks:
+        cells, atom = getattr(simulator, "fine_cells", None), getattr(simulator, "fine_to_cell", None)
         if not (isinstance(cells, Solid) and isinstance(atom, np.ndarray) and len(atom) == len(cells.volumes)):
             cells, atom = parts, np.arange(len(parts.volumes))
-        return Atoms(cells, atom, parts, interfaces_between(parts), True, crumb_floor)
+        return Atoms(cells, atom, parts, interfaces_between(parts), True, min_piece_volume_fraction)
     labels = np.concatenate([block.labels[block.split == 0] for block in watched])
     if not labels.any():
-        raise BakeError(f"{generator.surface.name}: no fracture of its truth parts it")
+        raise BakeError(f"{simulator.surface.name}: no fracture of its truth parts it")
     atom = observed_atoms(parts, labels[labels.any(axis=1)], OBSERVED)
-    blocks = coarsen(relabel(parts, atom), generator.surface)
+    blocks = coarsen(relabel(parts, atom), simulator.surface)
     interfaces = interfaces_between(blocks)
     if len(interfaces) == 0:
-        raise BakeError(f"{generator.surface.name}: no fracture of its truth parts it")
-    return Atoms(parts, atom, blocks, interfaces, False, crumb_floor)
+        raise BakeError(f"{simulator.surface.name}: no fracture of its truth parts it")
+    return Atoms(parts, atom, blocks, interfaces, False, min_piece_volume_fraction)
 
 
 def observed_atoms(cells: Solid, labels: IntArray, count: int) -> IntArray:

@@ -26,35 +26,35 @@ from .atoms import Atoms, atoms_for
 
 @dataclass(frozen=True, eq=False)
 class BodyGeometry:
-    """What a model may know of a body: its shape, and where cracks can run in it; never how it answers a blow.
+    """What a model may know of a body: its shape, and where cracks can run in it; never how it answers an impact.
 
     surface: of largest extent 1, with V vertices and E edges. atoms: A building blocks of its pieces, and the I
     interfaces between them. distances: (I, V + E) float32, geodesic, from each interface's curve to the vertices and
-    then the edge midpoints, capped at CAP. shores: (I, S) vertices along the curves.
+    then the edge midpoints, capped at CAP. interface_vertices: (I, S) vertices along the curves.
     """
 
     surface: Surface
     atoms: Atoms
     distances: Float32Array
-    shores: IntArray
+    interface_vertices: IntArray
 
     @classmethod
     def of(cls, surface: Surface, atoms: Atoms, progress: Callable[[float], None] = lambda _: None) -> Self:
-        curves = CurveDistances(atoms.parts, surface)
-        distances, shores = interface_distances(curves, atoms.interfaces.pairs, progress)
-        return cls(surface, atoms, distances.astype(np.float32), shores)
+        curves = CurveDistances(atoms.solid, surface)
+        distances, interface_vertices = interface_distances(curves, atoms.interfaces.pairs, progress)
+        return cls(surface, atoms, distances.astype(np.float32), interface_vertices)
 
     @classmethod
     def read(cls, dataset: Dataset, progress: Callable[[float], None] = lambda _: None) -> tuple[Self, Samples]:
         """The body of a dataset, and its samples in terms of the body's atoms."""
-        generator = dataset.generator
-        if generator is None:
-            raise DatasetError(f"{dataset.path}: holds no generator, which says what the body is made of")
+        simulator = dataset.simulator
+        if simulator is None:
+            raise DatasetError(f"{dataset.path}: holds no simulator, which says what the body is made of")
         samples = dataset.samples()
         if not len(samples):
             raise DatasetError(f"{dataset.path}: holds no samples; make some with: fracsim dataset make")
-        floor = float(dataset.header["truth"]["crumb_floor"])
-        atoms = atoms_for(generator, [] if generator.fixed_cracks else [samples.rows(slice(2 * dataset.block))], floor)
+        floor = float(dataset.header["simulator"]["min_piece_volume_fraction"])
+        atoms = atoms_for(simulator, [] if simulator.fixed_cracks else [samples.take(slice(2 * dataset.block))], floor)
         return cls.of(dataset.surface, atoms, progress), atoms.project(samples)
 
     @property
@@ -71,12 +71,12 @@ class BodyGeometry:
 
     @property
     def volumes(self) -> FloatArray:
-        return self.atoms.parts.volumes
+        return self.atoms.solid.volumes
 
     @cached_property
     def vertex_atom(self) -> IntArray:
         """(V,) the atom of each vertex."""
-        parts = self.atoms.parts
+        parts = self.atoms.solid
         return vertex_cells(parts.triangles, parts.sides, len(parts.points))[: len(self.vertices)]
 
     @cached_property
@@ -102,10 +102,12 @@ class BodyGeometry:
     @cached_property
     def basins(self) -> AtomWatershed:
         distances = self.distances[:, : len(self.vertices)]
-        return AtomWatershed.of(self.shores, distances, self.interfaces.pairs, self.interfaces.areas, len(self.volumes))
+        return AtomWatershed.of(
+            self.interface_vertices, distances, self.interfaces.pairs, self.interfaces.areas, len(self.volumes)
+        )
 
     def spectrum(self, count: int, radii: Sequence[float]) -> Spectrum:
-        return spectrum(self.atoms.cells, self.atoms.atom, self.surface, count, radii)
+        return spectrum(self.atoms.fine_cells, self.atoms.fine_to_atom, self.surface, count, radii)
 
     def fields(self, labels: IntArray, nodes: bool = False) -> Float32Array:
         """(N, V) the true fields of fractures that leave the atoms labels (N, A): the least distance to an interface

@@ -334,9 +334,9 @@ class DeltaConv:
         )
         return self.net(x, self.operators).T
 
-    def predict(self, blows: Impacts) -> Float32Array:
-        impulses = torch.as_tensor(self.inputs(self.body, blows), device=self.where.device)
-        result = np.empty((len(blows), len(self.where)), dtype=np.float32)
+    def predict(self, impacts: Impacts) -> Float32Array:
+        impulses = torch.as_tensor(self.inputs(self.body, impacts), device=self.where.device)
+        result = np.empty((len(impacts), len(self.where)), dtype=np.float32)
         training = self.net.training
         self.net.eval()
         with torch.inference_mode():
@@ -369,9 +369,9 @@ class _Meshes:
     def __init__(self, model: DeltaConv, samples: Samples, validation: Samples, device: torch.device) -> None:
         self.model, self.module, self.device = model, model.net, device
         self.count = len(samples)
-        self.impulses = torch.as_tensor(model.inputs(model.body, samples.blows), device=device)
+        self.impulses = torch.as_tensor(model.inputs(model.body, samples.impacts), device=device)
         self.targets = Targets(model.body, samples.labels, device)
-        self.held_out = validation.rows(slice(VALIDATED))
+        self.held_out = validation.take(slice(VALIDATED))
         self.truth = model.body.fields(self.held_out.labels)
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
@@ -382,4 +382,4 @@ class _Meshes:
         return amae_loss(self.model.field(self.impulses[rows]), self.targets(rows), self.model.options.filled)
 
     def validate(self) -> float:
-        return amae(self.truth, self.model.predict(self.held_out.blows))
+        return amae(self.truth, self.model.predict(self.held_out.impacts))

@@ -34,7 +34,7 @@ JUDGED = 1000  # validation samples by which it does
 
 @dataclass(frozen=True)
 class FieldOptions:
-    """width: of the hidden layers. eigenfunctions, radii: ``spectrum``. prior: whether blows are presumed to spread
+    """width: of the hidden layers. eigenfunctions, radii: ``spectrum``. prior: whether impacts are presumed to spread
     like heat. response: whether interfaces have 3 x 3 responses of their own beside the atoms' potentials, as a truth
     in which pushes pull elsewhere needs. filter_rate: how many times faster the few numbers of the prior and of the
     rule learn than the free weights, which else would learn around them. Steps, not seconds, so that a seed fixes
@@ -55,7 +55,7 @@ class FieldOptions:
 
 
 class FieldNetwork(torch.nn.Module):
-    """The network of FieldModel, with a prior: a blow presses on a patch and spreads from it like heat.
+    """The network of FieldModel, with a prior: an impact presses on a patch and spreads from it like heat.
 
     The skip connection holds, beside free weights, a heat kernel between the contact and the atoms,
     Σ_rk s_r(λ_k) φ_rk(x) φ̄_k(a), of which the filter s is learned. Without it the same training ends at a far
@@ -172,7 +172,7 @@ class FieldLearner:
         )
         self.options = options
         self.training, self.validation = (
-            ContactPatches(samples.part(k), geometry.coordinates, body.faces) for k in range(2)
+            ContactPatches(samples.of_split(k), geometry.coordinates, body.faces) for k in range(2)
         )
         self.count = len(self.training.count)
 
@@ -219,9 +219,9 @@ class FieldModel:
         torch.manual_seed(seed)
         learner = FieldLearner(body, samples, geometry, options)
         figures = train(learner, options.training, seed, run)
-        net = frozen(learner.module, body, geometry, float(samples.part(0).severities.sum(axis=1).max()))
+        net = frozen(learner.module, body, geometry, float(samples.of_split(0).severities.sum(axis=1).max()))
         model = cls(body, net)
-        level, score = model._best_level(samples.part(1))
+        level, score = model._best_level(samples.of_split(1))
         figures |= {"level": level, "validation_ari": score}
         return replace(model, net=replace(net, level=np.array([level], dtype=np.float32))), figures
 
@@ -229,8 +229,8 @@ class FieldModel:
         rows = np.flatnonzero(validation.labels.any(axis=1))[:JUDGED]
         if not len(rows):
             return 0.5, float("nan")
-        held_out = validation.rows(rows)
-        scores = self.break_scores(held_out.blows)
+        held_out = validation.take(rows)
+        scores = self.break_scores(held_out.impacts)
         truth = held_out.labels[:, self.body.vertex_atom]
         best, most = 0.5, -np.inf
         for level in LEVELS:
@@ -240,20 +240,22 @@ class FieldModel:
                 best, most = level, score
         return best, most
 
-    def break_scores(self, blows: Impacts) -> FloatArray:
+    def break_scores(self, impacts: Impacts) -> FloatArray:
         """(N, I)"""
-        return np.array([self.net.scores(*blow, self.body.interfaces.pairs) for blow in located(self.body, blows)])
+        return np.array(
+            [self.net.scores(*impact, self.body.interfaces.pairs) for impact in located(self.body, impacts)]
+        )
 
-    def predict_labels(self, blows: Impacts) -> IntArray:
+    def predict_labels(self, impacts: Impacts) -> IntArray:
         """(N, A) the pieces, with no field between."""
-        return self._labels(self.break_scores(blows), float(self.net.level[0]))
+        return self._labels(self.break_scores(impacts), float(self.net.level[0]))
 
-    def predict(self, blows: Impacts) -> Float32Array:
-        return self._fields(blows, self.body.distances[:, : len(self.body.vertices)])
+    def predict(self, impacts: Impacts) -> Float32Array:
+        return self._fields(impacts, self.body.distances[:, : len(self.body.vertices)])
 
-    def predict_nodes(self, blows: Impacts) -> Float32Array:
+    def predict_nodes(self, impacts: Impacts) -> Float32Array:
         """(N, V + E): at the edge midpoints as well."""
-        return self._fields(blows, self.body.distances)
+        return self._fields(impacts, self.body.distances)
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
         return dict(vars(self.net)), {}
@@ -268,23 +270,23 @@ class FieldModel:
     def _labels(self, scores: FloatArray, level: float) -> IntArray:
         body = self.body
         labels = components(scores < level, body.interfaces.pairs, len(body.volumes))
-        return merge_small_pieces_each(labels, body.volumes, body.interfaces, body.atoms.crumb_floor)
+        return merge_small_pieces_each(labels, body.volumes, body.interfaces, body.atoms.min_piece_volume_fraction)
 
-    def _fields(self, blows: Impacts, distances: Float32Array) -> Float32Array:
+    def _fields(self, impacts: Impacts, distances: Float32Array) -> Float32Array:
         pairs, count = self.body.interfaces.pairs, len(self.body.volumes)
-        parting = (minimax_scores(scores, pairs, count) for scores in self.break_scores(blows))
+        parting = (minimax_scores(scores, pairs, count) for scores in self.break_scores(impacts))
         return np.array([field_from_scores(scores, distances, CAP) for scores in parting], dtype=np.float32)
 
 
-def located(body: BodyGeometry, blows: Impacts) -> Iterator[tuple[IntArray, FloatArray, FloatArray, FloatArray]]:
-    """The arguments of FieldModel.scores, blow by blow."""
-    for k in range(len(blows)):
-        there = np.flatnonzero(blows.severities[k])
+def located(body: BodyGeometry, impacts: Impacts) -> Iterator[tuple[IntArray, FloatArray, FloatArray, FloatArray]]:
+    """The arguments of FieldModel.scores, impact by impact."""
+    for k in range(len(impacts)):
+        there = np.flatnonzero(impacts.severities[k])
         yield (
-            body.faces[blows.faces[k, there]],
-            blows.barycentric[k, there],
-            blows.directions[k, there],
-            blows.severities[k, there],
+            body.faces[impacts.faces[k, there]],
+            impacts.barycentric[k, there],
+            impacts.directions[k, there],
+            impacts.severities[k, there],
         )
 
 

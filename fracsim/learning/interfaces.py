@@ -1,4 +1,4 @@
-"""Which interfaces break, learned with no presumption of how a blow spreads, and no field on the way to the pieces.
+"""Which interfaces break, learned with no presumption of how an impact spreads, and no field on the way to the pieces.
 
 The thesis's own proposals (section 6.5): labels learned directly, and the distance field as nothing but a read-out,
 the least of the known distances to the interfaces that part two pieces.
@@ -29,8 +29,8 @@ class InterfaceModel(FieldModel):
     kind: ClassVar[str] = "interfaces"
     options_type: ClassVar[type] = InterfaceOptions
 
-    def predict(self, blows: Impacts) -> Float32Array:
-        return self.body.fields(self.predict_labels(blows))
+    def predict(self, impacts: Impacts) -> Float32Array:
+        return self.body.fields(self.predict_labels(impacts))
 
-    def predict_nodes(self, blows: Impacts) -> Float32Array:
-        return self.body.fields(self.predict_labels(blows), nodes=True)
+    def predict_nodes(self, impacts: Impacts) -> Float32Array:
+        return self.body.fields(self.predict_labels(impacts), nodes=True)

@@ -89,25 +89,25 @@ class MLP:
         """The same network asked about another mesh of the same shape."""
         return type(self)(body, self.net, self.inputs, self.options)
 
-    def predict(self, blows: Impacts) -> Float32Array:
-        return self._at(self.body.vertices, blows)
+    def predict(self, impacts: Impacts) -> Float32Array:
+        return self._at(self.body.vertices, impacts)
 
-    def predict_nodes(self, blows: Impacts) -> Float32Array:
+    def predict_nodes(self, impacts: Impacts) -> Float32Array:
         """(N, V + E) at edge midpoints as well."""
-        return self._at(self.body.nodes, blows)
+        return self._at(self.body.nodes, impacts)
 
-    def _at(self, points: FloatArray, blows: Impacts) -> Float32Array:
+    def _at(self, points: FloatArray, impacts: Impacts) -> Float32Array:
         device = next(self.net.parameters()).device
         where = torch.as_tensor(points, dtype=torch.float32, device=device)
-        impulses = torch.as_tensor(self.inputs(self.body, blows), device=device)
-        result = np.empty(len(blows) * len(points), dtype=np.float32)
+        impulses = torch.as_tensor(self.inputs(self.body, impacts), device=device)
+        result = np.empty(len(impacts) * len(points), dtype=np.float32)
         with torch.inference_mode():
             for start in range(0, len(result), CHUNK):
                 pair = torch.arange(start, min(start + CHUNK, len(result)), device=device)
                 row = torch.div(pair, len(points), rounding_mode="floor")
                 x = torch.cat([where[pair - row * len(points)], impulses[row]], dim=1)
                 result[start : start + len(pair)] = self.net(x).clamp(0.0, CAP).cpu().numpy()
-        return result.reshape(len(blows), len(points))
+        return result.reshape(len(impacts), len(points))
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
         arrays = {name: value.cpu().numpy() for name, value in self.net.state_dict().items()}
@@ -134,7 +134,7 @@ class _Points:
         self.model, self.module, self.device = model, model.net, device
         self.vertices = len(body.vertices)
         self.count = len(samples) * self.vertices
-        self.impulses = torch.as_tensor(model.inputs(body, samples.blows), device=device)
+        self.impulses = torch.as_tensor(model.inputs(body, samples.impacts), device=device)
         nodes, fine, _, _ = body.split
         self.nodes = torch.as_tensor(nodes, dtype=torch.float32, device=device)
         self.anywhere = model.options.points == "surface"
@@ -142,10 +142,10 @@ class _Points:
         share = SurfacePoints(body.vertices, body.faces).share
         self.below = torch.as_tensor(np.cumsum(share))
         self.quarters = torch.as_tensor(fine.reshape(-1, 4, 3))  # (F, 4, 3): at the corners, and the middle one
-        held_out = validation.rows(slice(VALIDATED))
+        held_out = validation.take(slice(VALIDATED))
         rng = np.random.default_rng(0)
         self.asked = rng.integers(0, self.vertices, (len(held_out), min(64, self.vertices)))
-        self.held_out = torch.as_tensor(model.inputs(body, held_out.blows), device=device)
+        self.held_out = torch.as_tensor(model.inputs(body, held_out.impacts), device=device)
         self.truth = np.take_along_axis(body.fields(held_out.labels), self.asked, axis=1)
 
     def groups(self, rate: float) -> list[dict[str, Any]]:

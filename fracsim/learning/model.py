@@ -1,6 +1,6 @@
-"""What all models share: the body they are about, the door that blows come in by, and the file they are kept in.
+"""What all models share: the body they are about, the door that impacts come in by, and the file they are kept in.
 
-A model is of one body. ``fit`` makes it from samples, ``predict`` answers blows with distance fields, and what it
+A model is of one body. ``fit`` makes it from samples, ``predict`` answers impacts with distance fields, and what it
 learned is a handful of arrays. Offline only, but for the field model, whose arrays an asset carries.
 """
 
@@ -37,15 +37,15 @@ class Model(Protocol):
     kind: its name in MODELS. options_type: a frozen dataclass of its hyperparameters, all with defaults; where the
     common trainer fits it, one of them is ``training: TrainingOptions``. Beside what is below, a class has
     ``fit(body, samples, options, seed, run) -> (model, figures)``, which learns from ``samples.part(0)`` and watches
-    ``samples.part(1)``. It may have ``predict_nodes(blows) -> (N, V + E)``, fields at edge midpoints as well, and
-    ``predict_labels(blows) -> (N, A)``, pieces with no field between.
+    ``samples.part(1)``. It may have ``predict_nodes(impacts) -> (N, V + E)``, fields at edge midpoints as well, and
+    ``predict_labels(impacts) -> (N, A)``, pieces with no field between.
     """
 
     kind: ClassVar[str]
     options_type: ClassVar[type[Any]]
 
-    def predict(self, blows: Impacts) -> Float32Array:
-        """(N, V) the distance fields of N blows, in units of the largest extent, capped at CAP."""
+    def predict(self, impacts: Impacts) -> Float32Array:
+        """(N, V) the distance fields of N impacts, in units of the largest extent, capped at CAP."""
         ...
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The row without learning: a blow does what the most similar training impulse did. No torch.
+"""The row without learning: an impact does what the most similar training impulse did. No torch.
 
 Impulses are compared by where they act and which way, both in the mean over contacts, and by how severe they are.
 """
@@ -66,12 +66,12 @@ class Nearest:
         cls, body: BodyGeometry, samples: Samples, options: NearestOptions, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
         """Remember the training samples; the seed makes no difference."""
-        train, validation = samples.part(0), samples.part(1)
+        train, validation = samples.of_split(0), samples.of_split(1)
         if not len(train):
             raise ModelError("there is nothing to remember; make more samples with: fracsim dataset make")
-        keys = resultant(train.blows, body.surface).astype(np.float32)
+        keys = resultant(train.impacts, body.surface).astype(np.float32)
         fractures, fracture = np.unique(train.labels, axis=0, return_inverse=True)
-        judges = validation.rows(np.flatnonzero(validation.labels.any(axis=1))[:JUDGES])
+        judges = validation.take(np.flatnonzero(validation.labels.any(axis=1))[:JUDGES])
         truth = judges.labels[:, body.vertex_atom]
         grid = list(
             itertools.product(
@@ -86,7 +86,7 @@ class Nearest:
             model = cls(body, keys, fractures, fracture.reshape(-1), NearestOptions(*weights))
             score = 0.0
             if len(grid) > 1:
-                guess = model.predict_labels(judges.blows)[:, body.vertex_atom]
+                guess = model.predict_labels(judges.impacts)[:, body.vertex_atom]
                 score = float(np.mean([ari(a, b) for a, b in zip(truth, guess, strict=True)]))
             if best is None or score > best[0]:
                 best = score, model
@@ -96,17 +96,17 @@ class Nearest:
         figures = {"rows": float(len(train)), "fractures": float(len(fractures))}
         return best[1], {**figures, "position": float(best[1].weights[0]), "severity": float(best[1].weights[-1])}
 
-    def predict_labels(self, blows: Impacts) -> IntArray:
+    def predict_labels(self, impacts: Impacts) -> IntArray:
         """(N, A) the piece of each atom."""
-        _, row = self.tree.query(resultant(blows, self.body.surface).astype(np.float32) * self.weights)
+        _, row = self.tree.query(resultant(impacts, self.body.surface).astype(np.float32) * self.weights)
         return self.fractures[self.fracture[row]]
 
-    def predict(self, blows: Impacts) -> Float32Array:
-        return self.body.fields(self.predict_labels(blows))
+    def predict(self, impacts: Impacts) -> Float32Array:
+        return self.body.fields(self.predict_labels(impacts))
 
-    def predict_nodes(self, blows: Impacts) -> Float32Array:
+    def predict_nodes(self, impacts: Impacts) -> Float32Array:
         """(N, V + E) at edge midpoints as well."""
-        return self.body.fields(self.predict_labels(blows), nodes=True)
+        return self.body.fields(self.predict_labels(impacts), nodes=True)
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
         small = np.min_scalar_type(int(self.fractures.max(initial=0)))

@@ -1,4 +1,4 @@
-"""The generator itself, precomputed: the row that no model of its own truth can beat, and that learned none of it."""
+"""The simulator itself, precomputed: the row that no model of its own truth can beat, and that learned none of it."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from .body import BodyGeometry
 
 @dataclass(frozen=True, eq=False)
 class PrecomputedModel:
-    """Breaking Good's own run time (Sellán et al. 2022): look the blow's row up, and break what it drives apart."""
+    """Breaking Good's own run time (Sellán et al. 2022): look the impact's row up, and break what it drives apart."""
 
     kind: ClassVar[str] = "modes"
     body: BodyGeometry
-    generator: ModalSimulator
+    simulator: ModalSimulator
 
     @classmethod
-    def of(cls, body: BodyGeometry, generator: FractureSimulator) -> PrecomputedModel:
-        if not isinstance(generator, ModalSimulator):
+    def of(cls, body: BodyGeometry, simulator: FractureSimulator) -> PrecomputedModel:
+        if not isinstance(simulator, ModalSimulator):
             raise ModelError(f"{body.surface.name}: its truth is not one of modes that could be looked up")
-        return cls(body, generator)
+        return cls(body, simulator)
 
-    def predict_labels(self, blows: Impacts) -> IntArray:
+    def predict_labels(self, impacts: Impacts) -> IntArray:
         """(N, A)"""
-        return self.generator.fracture(blows).labels
+        return self.simulator.fracture(impacts).labels
 
-    def predict(self, blows: Impacts) -> Float32Array:
-        return self.body.fields(self.predict_labels(blows))
+    def predict(self, impacts: Impacts) -> Float32Array:
+        return self.body.fields(self.predict_labels(impacts))
 
-    def predict_nodes(self, blows: Impacts) -> Float32Array:
-        return self.body.fields(self.predict_labels(blows), nodes=True)
+    def predict_nodes(self, impacts: Impacts) -> Float32Array:
+        return self.body.fields(self.predict_labels(impacts), nodes=True)

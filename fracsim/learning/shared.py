@@ -1,4 +1,4 @@
-"""One model for many bodies: how a blow spreads and what breaks an interface, learned once for all of them.
+"""One model for many bodies: how an impact spreads and what breaks an interface, learned once for all of them.
 
 Nothing in it belongs to a mesh. A body brings its geometry (the eigenfunctions of its Laplacian and the interfaces
 between its atoms), so a body that it never saw needs a solid and its atoms, but no samples and no training.
@@ -72,7 +72,7 @@ class _TrainingBody(torch.nn.Module):
         self.net = blank(body, geometry, options)
         self.hat = hats(geometry.values, options.knots)
         self.shared = shared
-        self.contacts = [ContactPatches(samples.part(k), geometry.coordinates, body.faces) for k in range(2)]
+        self.contacts = [ContactPatches(samples.of_split(k), geometry.coordinates, body.faces) for k in range(2)]
 
     def forward(self, *arguments: Any) -> torch.Tensor:
         return torch.func.functional_call(self.net, self.shared.numbers(self.hat), arguments)
@@ -160,7 +160,7 @@ class SharedField(FieldModel):
         learner = _SharedLearner(bodies, options)
         figures = train(learner, options.training, seed, run)
         numbers = {name: value.detach().numpy().astype(np.float32) for name, value in learner.module.named_parameters()}
-        severity = max(float(samples.part(0).severities.sum(axis=1).max()) for _, samples in bodies)
+        severity = max(float(samples.of_split(0).severities.sum(axis=1).max()) for _, samples in bodies)
         return cls._build(bodies[0][0], {**numbers, "severity": np.array([severity], np.float32)}, options), figures
 
     def on(self, body: BodyGeometry) -> Self:

@@ -33,7 +33,7 @@ def start_network(
     """How fitting a network of whole fields begins: the device, training and validation samples, and the inputs that
     the former call for. Seeds torch."""
     torch.manual_seed(seed)
-    parts = samples.part(0), samples.part(1)
+    parts = samples.of_split(0), samples.of_split(1)
     for part, name in zip(parts, ("training", "validation"), strict=True):
         if not len(part):
             raise ModelError(f"there are no {name} samples; make more with: fracsim dataset make")
@@ -52,7 +52,7 @@ def check_sizes(options: Any, names: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True)
 class ImpulseInputs:
-    """Blows as network inputs: mean position (3), resultant direction (3) and, unless the thesis's own are wanted,
+    """Impacts as network inputs: mean position (3), resultant direction (3) and, unless the thesis's own are wanted,
     the logarithm of the total severity, which is brought to mean 0 and deviation 1 over the training impulses, and
     clamped to their range."""
 
@@ -66,16 +66,16 @@ class ImpulseInputs:
     def of(cls, body: BodyGeometry, samples: Samples, severity: bool) -> Self:
         if not severity:
             return cls(False)
-        log = resultant(samples.blows, body.surface)[:, 6]
+        log = resultant(samples.impacts, body.surface)[:, 6]
         return cls(True, float(log.mean()), max(float(log.std()), 1e-6), float(log.min()), float(log.max()))
 
     @property
     def count(self) -> int:
         return 7 if self.severity else 6
 
-    def __call__(self, body: BodyGeometry, blows: Impacts) -> Float32Array:
+    def __call__(self, body: BodyGeometry, impacts: Impacts) -> Float32Array:
         """(N, 6 or 7)"""
-        whole = resultant(blows, body.surface)
+        whole = resultant(impacts, body.surface)
         whole[:, 6] = (np.clip(whole[:, 6], self.low, self.high) - self.mean) / self.deviation
         return whole[:, : self.count].astype(np.float32)
 
@@ -88,14 +88,14 @@ def load_weights(net: torch.nn.Module, arrays: dict[str, npt.NDArray[Any]]) -> N
     net.eval()
 
 
-def resultant(blows: Impacts, surface: Surface) -> FloatArray:
-    """(N, 7) what a blow is as a whole: the mean of its contacts' positions and of their directions, weighted by
+def resultant(impacts: Impacts, surface: Surface) -> FloatArray:
+    """(N, 7) what an impact is as a whole: the mean of its contacts' positions and of their directions, weighted by
     severity, and the logarithm of the total severity."""
-    total = blows.severities.sum(axis=1)
+    total = impacts.severities.sum(axis=1)
     if not (total > 0).all():
-        raise ModelError(f"blow {int(np.argmin(total > 0))} has no severity; ask only about blows that hit")
-    share = (blows.severities / total[:, None])[:, :, None]
-    where = SurfacePoints(surface.vertices, surface.faces).at(blows.faces.ravel(), blows.barycentric.reshape(-1, 3))
-    position = (share * where.reshape(*blows.faces.shape, 3)).sum(axis=1)
-    direction = (share * blows.directions).sum(axis=1)
+        raise ModelError(f"impact {int(np.argmin(total > 0))} has no severity; ask only about impacts that hit")
+    share = (impacts.severities / total[:, None])[:, :, None]
+    where = SurfacePoints(surface.vertices, surface.faces).at(impacts.faces.ravel(), impacts.barycentric.reshape(-1, 3))
+    position = (share * where.reshape(*impacts.faces.shape, 3)).sum(axis=1)
+    direction = (share * impacts.directions).sum(axis=1)
     return np.hstack([position, direction, np.log(total)[:, None]])

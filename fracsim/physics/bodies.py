@@ -44,7 +44,7 @@ class RigidSolid(Protocol):
     @property
     def inertia(self) -> FloatArray: ...
     @property
-    def parts(self) -> ConvexParts: ...
+    def convex_parts(self) -> ConvexParts: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def spawn(
         if colors is not None:
             local = (solid.vertices - centers[k]) @ axes[k]
             visual = engine.visual(local, solid.faces, colors[k % len(colors)])
-        parts = solid.parts
+        parts = solid.convex_parts
         frame = tuple(((parts.offset - centers[k]) @ axes[k]).tolist()), frames[k]
         motion = tuple(speeds[k].tolist()), spin
         mass = heavier * float(solid.mass)

@@ -10,8 +10,8 @@ from ..common.arrays import FloatArray, IntArray
 from .rotations import cross
 from .states import Motion, Rigid
 
-SIMULTANEOUS = 1e-4  # s: contacts that begin within it are one blow, shared among them
-SWEEPS = 10  # over the contacts of a blow, to find their friction
+SIMULTANEOUS = 1e-4  # s: contacts that begin within it are one impact, shared among them
+SWEEPS = 10  # over the contacts of an impact, to find their friction
 IMPACT_WINDOW = 0.01  # s: hits on one body within it act together, such as those of the corners of a flat landing
 
 
@@ -79,9 +79,9 @@ class ImpactSolver:
                 self.arm[mine] = Rotation.from_rotvec(time * self.angular[side]).apply(self.arm[mine])
 
     def sequence(self, gaps: FloatArray, least: float) -> list[tuple[float, int, float, float]]:
-        """(time, contact, closing speed, impulse) of the blows, one after the other.
+        """(time, contact, closing speed, impulse) of the impacts, one after the other.
 
-        Contacts touch when their gap is closed; those that do so together share a blow, which changes the speeds of
+        Contacts touch when their gap is closed; those that do so together share an impact, which changes the speeds of
         all the others. Ends when nothing that is to come within CHAIN closes faster than ``least``.
         """
         gaps = gaps.copy()
@@ -122,7 +122,7 @@ class ImpactSolver:
         return result
 
     def _with_friction(self, touching: IntArray, sizes: FloatArray) -> FloatArray:
-        """(m, 3) the impulses of a blow with normal parts ``sizes`` as a start: Coulomb friction up to where contacts
+        """(m, 3) the impulses of an impact with normal parts ``sizes`` as a start: Coulomb friction up to where contacts
         stick, and what that changes of the normal parts, by projected Gauss-Seidel."""
         count = len(touching)
         normals = self.normals[touching]

@@ -84,13 +84,13 @@ def predict_impacts(
     rigids = [own, *parts.values()]
     motions = [motion_of(body.id, -1), *(motion_of(*key) for key in parts)]
     sides = np.array([1 + list(parts).index(key) for key in others])  # whose contact it is
-    blow = ImpactSolver(rigids, motions, points, normals, sides)
-    closing = blow.closing()
+    impact = ImpactSolver(rigids, motions, points, normals, sides)
+    closing = impact.closing()
     since = np.clip(contacts.depths / np.maximum(closing, 1e-9), 0.0, dt)
     first = float(since[closing > 0.0].max(initial=0.0))
     # The engine takes a step with the velocity of its end, which is half a step's fall too much at its start.
-    blow.fall(np.array(gravity) * (0.5 * dt - first))
-    closing = blow.closing()
+    impact.fall(np.array(gravity) * (0.5 * dt - first))
+    closing = impact.closing()
     least = impact_speed_threshold(dt, gravity)
     if closing.max() <= least:
         return []
@@ -108,7 +108,7 @@ def predict_impacts(
             parts[others[i]].mass > 0.0,
             delay,
         )
-        for delay, i, speed, size in blow.sequence(gaps, least)
+        for delay, i, speed, size in impact.sequence(gaps, least)
     ]
 
 
@@ -123,7 +123,7 @@ def _thinned(contacts: BodyContacts) -> BodyContacts:
     places = np.floor((points - low) / max(0.05 * float(np.ptp(points, axis=0).max()), 1e-12))
     rows = np.column_stack([np.array(contacts.others)[order], places, np.rint(2.0 * normals)])
     first = np.sort(np.unique(rows, axis=0, return_index=True)[1])  # still by depth
-    return contacts.some(np.sort(order[first[:MOST]]).tolist())
+    return contacts.select(np.sort(order[first[:MOST]]).tolist())
 
 
 def sustained_impulses(
@@ -142,7 +142,7 @@ def sustained_impulses(
     own = _own(engine, body, placement)
     if own.mass == 0.0:
         return []
-    contacts = contacts.some(np.flatnonzero(contacts.forces > 0.0).tolist())
+    contacts = contacts.select(np.flatnonzero(contacts.forces > 0.0).tolist())
     some = _thinned(contacts)
     turn = cross(some.points - own.center, some.normals)
     response = some.normals @ some.normals.T / own.mass + turn @ inverse_inertia(own) @ turn.T

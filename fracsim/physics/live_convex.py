@@ -66,7 +66,7 @@ def with_parts(
         warnings.warn(f"{asset.name}: {fault}; baked parts are kept", RuntimeWarning, 2)
         return tuple(pieces)
     return tuple(
-        replace(piece, parts=ConvexParts.of(some, asset.scale, asset.offset))
+        replace(piece, convex_parts=ConvexParts.of(some, asset.scale, asset.offset))
         for piece, some in zip(pieces, points, strict=True)
     )
 

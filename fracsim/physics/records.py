@@ -44,6 +44,6 @@ class BodyRecord:
     lightest: BodyContacts | None = None  # of the last few of these
     hits: list[tuple[float, ContactImpulse]] = field(default_factory=list)  # of the last CHAIN seconds
     damage: float = 0.0
-    tired: tuple[float, float] = (-1.0, 0.0)  # when a blow last added to it, and what it was before
+    tired: tuple[float, float] = (-1.0, 0.0)  # when an impact last added to it, and what it was before
     immune: frozenset[int] = frozenset()  # bodies that cannot break it
     immune_until: float = 0.0

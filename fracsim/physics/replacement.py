@@ -1,4 +1,4 @@
-"""The swap: which bodies a blow reached, how they moved before it, and what cracks take from the motion after it."""
+"""The swap: which bodies an impact reached, how they moved before it, and what cracks take from the motion after it."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class BodyContacts:
         self.pushing = {(q[2], q[4]) for q in points if q[9] > 0.0}
         self.force: float = sum(q[9] for q in points)
 
-    def some(self, chosen: Sequence[int]) -> BodyContacts:
+    def select(self, chosen: Sequence[int]) -> BodyContacts:
         """Only those."""
         return BodyContacts([self._points[k] for k in chosen])
 

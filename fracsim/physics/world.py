@@ -38,7 +38,7 @@ ContactCallback = Callable[[ContactImpulse], object]
 _MARGIN = 5e-4  # of the size; the gap between the convex parts of two pieces is 1.5e-3
 _SAME_PLACE = 0.05  # of the size: a hit so near to one just counted, from the same body, is the rest of that
 _CLOCK = 8  # steps in which a change of the time step or of gravity is noticed at the latest
-_AFTER = 0.02  # s for which nothing that was in a break may break its pieces: that blow is counted
+_AFTER = 0.02  # s for which nothing that was in a break may break its pieces: that impact is counted
 
 
 @dataclass(eq=False)
@@ -63,8 +63,8 @@ class World:
     generations: how often what breaks may break again; 1: pieces stay as they are.
     smallest: of the volume of what was added: a smaller piece breaks no more.
     budget: how many pieces there may be; of more, the smallest and stillest are removed. None: any number.
-    fatigue: exponent n of Miner's rule: a blow that is the share r of what breaks a body uses up r**n of its strength.
-    None: any number of blows that break nothing leave no trace.
+    fatigue: exponent n of Miner's rule: an impact that is the share r of what breaks a body uses up r**n of its strength.
+    None: any number of impacts that break nothing leave no trace.
     decomposition: where the convex parts of pieces come from. "baked": the asset, in a fraction of a frame. "coacd":
     CoACD on each piece as it breaks, in seconds. "background": the same in another process, the pieces beginning as
     baked and taking over the finer parts, ids kept, ``refine_after`` s of simulated time after the break; the step
@@ -429,7 +429,7 @@ class World:
         return None
 
     def _worn(self, record: BodyRecord, impulses: list[Impulse]) -> list[Impulse]:
-        """The impulses as they act on a body that blows have weakened."""
+        """The impulses as they act on a body that impacts have weakened."""
         if record.damage == 0.0:
             return impulses
         left = max(1.0 - record.damage, 1e-6)
@@ -450,10 +450,10 @@ class World:
         record.damage = min(1.0, record.damage + high**-self.fatigue)
 
     def _breaks(self, record: BodyRecord, impulses: Sequence[Impulse], factor: float) -> bool:
-        blows = tuple(Impulse(one.point, one.direction, one.magnitude * factor) for one in impulses)
-        if not record.target.may_break(blows):
+        impacts = tuple(Impulse(one.point, one.direction, one.magnitude * factor) for one in impulses)
+        if not record.target.may_break(impacts):
             return False
-        fracture = self._ask(record, blows)
+        fracture = self._ask(record, impacts)
         return fracture is not None and len(fracture.pieces) > 1
 
     def _ask(self, record: BodyRecord, impulses: tuple[Impulse, ...]) -> Fracture | None:
@@ -517,7 +517,7 @@ class World:
     # The swap
 
     def _exchange(self, breaks: list[_Break]) -> list[FractureEvent]:
-        """Put everything that the blows reached back to before the step, and pieces in place of what broke."""
+        """Put everything that the impacts reached back to before the step, and pieces in place of what broke."""
         engine, watch, dt = self._engine, self._watch, self._dt
         start = perf_counter()
         ties = [(info[0], info[2]) for _, info in engine.constraints() if info[2] >= 0]
@@ -605,7 +605,7 @@ class World:
         # Somebody may have given the body another mass; a static one's pieces have what its material makes them.
         heavier = (engine.mass(parent.id) or parent.mass) / parent.mass
         pieces = spawn(engine, solids, pose, surface, PIECE_COLOURS if self.visuals else None, heavier)
-        parts = [piece.parts for piece in solids]
+        parts = [piece.convex_parts for piece in solids]
         renamed = {
             tie[0]: self._rename(tie[0], transfer_constraint(engine, tie, parent, pieces, parts)) for tie in ties
         }
@@ -621,7 +621,7 @@ class World:
             self._damping[piece.id] = record.damping
             self._watch.own[piece.id] = piece.token
             if generation < self.generations and len(solid.atoms) > 1:
-                fragment = record.target.fragment(solid)
+                fragment = record.target.breakable_piece(solid)
                 if fragment.domain.share >= self.smallest:
                     bearable = fragment.bearable_impulse / LOAD_DURATION
                     watched = BodyRecord(piece, fragment, record.damping, fragment.reach, bearable, generation)

@@ -1,4 +1,4 @@
-"""The door behind which the truth stands: blows go in, and which parts of a body stay together comes out.
+"""The door behind which the truth stands: impacts go in, and which parts of a body stay together comes out.
 
 ``Generator`` is the interface that datasets, training and baking rely on; ``ModalGenerator`` stands behind it by
 default. ``elastic.ElasticGenerator`` drives the same atoms by another physics, ``radial.RadialGenerator`` has none of
@@ -20,7 +20,7 @@ from ..solids.surface import Surface
 
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """N blows on a surface, each of up to K contacts acting together.
+    """N impacts on a surface, each of up to K contacts acting together.
 
     faces: (N, K) and barycentric: (N, K, 3), where on the surface; directions: (N, K, 3), unit.
     severities: (N, K), impulse / (mass * breaking velocity), 0 where there is no contact.
@@ -35,16 +35,16 @@ class Impacts:
         return len(self.faces)
 
     def times(self, factor: FloatArray) -> Impacts:
-        """The same blows, each ``factor`` (N,) as severe."""
+        """The same impacts, each ``factor`` (N,) as severe."""
         return Impacts(self.faces, self.barycentric, self.directions, self.severities * factor[:, None])
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What N blows do.
+    """What N impacts do.
 
-    labels: (N, P), the piece of each part of the generator's body, from 0; all 0 where nothing parts.
-    broken: (N, I), the interfaces between neighbouring parts that gave way, where the generator knows them; one
+    labels: (N, P), the piece of each part of the simulator's body, from 0; all 0 where nothing parts.
+    broken: (N, I), the interfaces between neighbouring parts that gave way, where the simulator knows them; one
     that broke within a piece, its sides being joined another way, parts nothing.
     """
 
@@ -53,12 +53,12 @@ class Response:
 
 
 class FractureSimulator(Protocol):
-    """A truth about how one body breaks. Deterministic: a blow has one answer.
+    """A truth about how one body breaks. Deterministic: an impact has one answer.
 
     surface: of largest extent 1, with V vertices. parts: P parts whose outside is that surface exactly; labels
     speak of them, and cracks run where they meet. fixed_cracks: whether the parts are so few that distances to
     each of their interfaces are worth keeping (pieces are unions of few parts, not free shapes among many).
-    A generator of fixed cracks may also have ``cells``, a finer Solid, and ``atom``, the part of each of its cells;
+    A simulator of fixed cracks may also have ``cells``, a finer Solid, and ``atom``, the part of each of its cells;
     baking then sees the body through them.
     """
 
@@ -66,16 +66,16 @@ class FractureSimulator(Protocol):
     def surface(self) -> Surface: ...
 
     @property
-    def parts(self) -> Solid: ...
+    def cells(self) -> Solid: ...
 
     @property
     def fixed_cracks(self) -> bool: ...
 
-    def thresholds(self, blows: Impacts) -> FloatArray:
-        """(N,) the factor by which each blow's severities have to be multiplied for it just to part the body."""
+    def thresholds(self, impacts: Impacts) -> FloatArray:
+        """(N,) the factor by which each impact's severities have to be multiplied for it just to part the body."""
         ...
 
-    def fracture(self, blows: Impacts) -> Response: ...
+    def fracture(self, impacts: Impacts) -> Response: ...
 
 
 def interfaces_between(parts: Solid) -> Interfaces:
@@ -92,10 +92,12 @@ def critical_load_factor(drives: FloatArray, parts: Solid, interfaces: Interface
     return 1.0 / weakest_cut(drives, interfaces.pairs, len(parts.volumes))
 
 
-def pieces_from_broken(broken: BoolArray, parts: Solid, interfaces: Interfaces, crumb_floor: float) -> Response:
+def pieces_from_broken(
+    broken: BoolArray, parts: Solid, interfaces: Interfaces, min_piece_volume_fraction: float
+) -> Response:
     """What is left when interfaces give way: broken (N, I)."""
     labels = components(~broken, interfaces.pairs, len(parts.volumes))
-    return Response(merge_small_pieces_each(labels, parts.volumes, interfaces, crumb_floor), broken)
+    return Response(merge_small_pieces_each(labels, parts.volumes, interfaces, min_piece_volume_fraction), broken)
 
 
 def merge_small_pieces_each(labels: IntArray, volumes: FloatArray, interfaces: Interfaces, floor: float) -> IntArray:

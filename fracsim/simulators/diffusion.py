@@ -17,7 +17,7 @@ PATCH_RADIUS = 0.1  # standard deviation of the contact patch, in units of the l
 
 
 def impact_field(solid: Solid, atom: IntArray, points: FloatArray) -> FloatArray:
-    """How a unit blow at each point spreads: (N, A), per atom, of volume-weighted mean 1 over each row.
+    """How a unit impact at each point spreads: (N, A), per atom, of volume-weighted mean 1 over each row.
 
     A Gaussian patch on the solid diffused for DIFFUSION_TIME with the finite-volume heat equation
     (Breaking Good, Eq. 22, momentum for heat); implicit, so it conserves the total exactly: the body's

@@ -133,12 +133,12 @@ def locate(mesh: MeshTet, points: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 class ElasticBody:
-    """A free elastic body that answers, for a blow anywhere, with the tractions on its interfaces.
+    """A free elastic body that answers, for an impact anywhere, with the tractions on its interfaces.
 
     Quadratic tetrahedra on ``mesh`` (made by fTetWild if not given): S nodes, D = 3 S unknowns, node by node. The
     three components of the traction on each of I interfaces are linear functionals of the displacement. Stiffness
     being symmetric, each is solved for once as if it were a load (Maxwell-Betti reciprocity), and then the
-    answer to a blow in any place is a dot product.
+    answer to an impact in any place is a dot product.
     """
 
     def __init__(
@@ -183,13 +183,13 @@ class ElasticBody:
         answers = np.empty((3 * len(self.nodes), functionals.shape[0]))
         for start in range(0, answers.shape[1], BLOCK):
             block = slice(start, start + BLOCK)
-            # Without momentum and angular momentum, so that the inertia that balances a blow does no work on
-            # them and need not be worked out per blow.
+            # Without momentum and angular momentum, so that the inertia that balances an impact does no work on
+            # them and need not be worked out per impact.
             answers[:, block] = self._solve(functionals[block].toarray().T)
         return answers.reshape(len(self.nodes), -1)
 
     def patch(self, points: FloatArray) -> FloatArray:
-        """(N, S) nodal forces of blows of unit force at ``points`` (N, 3), in whatever direction.
+        """(N, S) nodal forces of impacts of unit force at ``points`` (N, 3), in whatever direction.
 
         Each a Gaussian over the body of standard deviation PATCH_RADIUS, as in ``impact_field``, taken for a
         function of the finite elements.
@@ -204,13 +204,13 @@ class ElasticBody:
         return result
 
     def loads(self, points: FloatArray, directions: FloatArray) -> FloatArray:
-        """(D, N) nodal forces of unit blows at ``points`` (N, 3) along unit ``directions`` (N, 3), balanced.
+        """(D, N) nodal forces of unit impacts at ``points`` (N, 3) along unit ``directions`` (N, 3), balanced.
 
         What balances them is -ρ(a + α×r), a and α being the linear and angular acceleration of the rigid body that
-        the blow causes: no net force, no net torque.
+        the impact causes: no net force, no net torque.
         """
-        blows = np.einsum("ns,nk->skn", self.patch(points), directions).reshape(-1, len(points))
-        return np.asarray(blows - self._heavy @ np.linalg.solve(self._rigid.T @ self._heavy, self._rigid.T @ blows))
+        impacts = np.einsum("ns,nk->skn", self.patch(points), directions).reshape(-1, len(points))
+        return np.asarray(impacts - self._heavy @ np.linalg.solve(self._rigid.T @ self._heavy, self._rigid.T @ impacts))
 
     def displacements(self, points: FloatArray, directions: FloatArray) -> FloatArray:
         """(D, N) the elastic displacements under ``loads``, without any rigid motion."""
@@ -241,7 +241,7 @@ class ElasticBody:
         return result
 
     def tractions(self, points: FloatArray) -> FloatArray:
-        """(N, I, 3, 3) what turns the direction of a unit blow at each of ``points`` (N, 3) into tractions.
+        """(N, I, 3, 3) what turns the direction of a unit impact at each of ``points`` (N, 3) into tractions.
 
         ``tractions(x)[0] @ d`` (I, 3) is what the second part of each pair does to the first, per unit of area; its
         component along the interface's normal, which points from the first to the second, is positive in
@@ -301,5 +301,5 @@ def _interface_triangles(parts: Solid, interfaces: Interfaces) -> tuple[IntArray
     between = (parts.sides >= 0).all(axis=1) & (parts.sides[:, 0] != parts.sides[:, 1])
     pairs, interface = np.unique(np.sort(parts.sides[between], axis=1), axis=0, return_inverse=True)
     if not np.array_equal(pairs, interfaces.pairs):
-        raise BakeError("the interfaces are not those between the parts; take both from one generator")
+        raise BakeError("the interfaces are not those between the parts; take both from one simulator")
     return parts.triangles[between], interface.reshape(-1)

@@ -1,4 +1,4 @@
-"""Fracture modes and what they make of a solid: atoms, the interfaces between them, and how a blow spreads.
+"""Fracture modes and what they make of a solid: atoms, the interfaces between them, and how an impact spreads.
 
 After Sellán et al. 2022, *Breaking Good: Fracture Modes for Realtime Destruction*. Offline only.
 """

@@ -26,17 +26,17 @@ class ModalSimulator:
     """Fracture modes (Sellán et al. 2022), momentum diffusion and the breaking rule of ``breaking.drives``.
 
     cells: the fine solid; atom: (C,), the atom of each cell; parts: the atoms. rows: (V, A), the impact field at
-    each vertex. crumb_floor: fraction of the volume below which a piece joins a neighbour.
+    each vertex. min_piece_volume_fraction: fraction of the volume below which a piece joins a neighbour.
     energies: per mode, its fracture energy after each iteration.
     """
 
     surface: Surface
+    fine_cells: Solid
+    fine_to_cell: IntArray
     cells: Solid
-    atom: IntArray
-    parts: Solid
     interfaces: Interfaces
-    rows: FloatArray
-    crumb_floor: float
+    impact_field: FloatArray
+    min_piece_volume_fraction: float
     energies: tuple[tuple[float, ...], ...]
     fixed_cracks: bool = True
 
@@ -44,16 +44,18 @@ class ModalSimulator:
     def points(self) -> SurfacePoints:
         return SurfacePoints(self.surface.vertices, self.surface.faces)
 
-    def drives(self, blows: Impacts) -> FloatArray:
+    def load_ratios(self, impacts: Impacts) -> FloatArray:
         """(N, I) effective jumps across the interfaces, 1 being what breaks them; proportional to severity."""
-        field = self.points.rows(self.rows, blows.faces, blows.barycentric)
-        return load_ratios(field, blows.directions, blows.severities, self.interfaces)
+        field = self.points.rows(self.impact_field, impacts.faces, impacts.barycentric)
+        return load_ratios(field, impacts.directions, impacts.severities, self.interfaces)
 
-    def thresholds(self, blows: Impacts) -> FloatArray:
-        return critical_load_factor(self.drives(blows), self.parts, self.interfaces)
+    def thresholds(self, impacts: Impacts) -> FloatArray:
+        return critical_load_factor(self.load_ratios(impacts), self.cells, self.interfaces)
 
-    def fracture(self, blows: Impacts) -> Response:
-        return pieces_from_broken(self.drives(blows) >= 1.0, self.parts, self.interfaces, self.crumb_floor)
+    def fracture(self, impacts: Impacts) -> Response:
+        return pieces_from_broken(
+            self.load_ratios(impacts) >= 1.0, self.cells, self.interfaces, self.min_piece_volume_fraction
+        )
 
 
 def modal_simulator(
@@ -61,7 +63,7 @@ def modal_simulator(
     rng: np.random.Generator,
     cells: int = 5000,
     modes: int = 20,
-    crumb_floor: float = 1e-3,
+    min_piece_volume_fraction: float = 1e-3,
     progress: Callable[[str, float], None] = lambda stage, share: None,
 ) -> ModalSimulator:
     """Build the default truth of a surface; ``progress`` hears the stage and its share done.
@@ -74,14 +76,14 @@ def modal_simulator(
     progress("modes", 0.0)
     found = fracture_modes(solid, modes, lambda share: progress("modes", share))
     progress("atoms", 0.0)
-    return modal_from_solid(surface, solid, found, crumb_floor, progress)
+    return modal_from_solid(surface, solid, found, min_piece_volume_fraction, progress)
 
 
 def modal_from_solid(
     surface: Surface,
     cells: Solid,
     modes: Modes,
-    crumb_floor: float,
+    min_piece_volume_fraction: float,
     progress: Callable[[str, float], None] = lambda stage, share: None,
 ) -> ModalSimulator:
     """The modal truth of a solid whose modes are known."""
@@ -92,4 +94,4 @@ def modal_from_solid(
         raise BakeError(f"{surface.name}: no fracture mode parts it; raise the number of modes or cells")
     progress("impact", 0.0)
     rows = impact_field(cells, atom, surface.vertices)
-    return ModalSimulator(surface, cells, atom, parts, joints, rows, crumb_floor, modes.objectives)
+    return ModalSimulator(surface, cells, atom, parts, joints, rows, min_piece_volume_fraction, modes.objectives)

@@ -1,7 +1,7 @@
 """A second truth, with neither modes nor atoms: cracks run out from where the body is hit. Offline only.
 
 It is simple on purpose. Pieces are sets of the solid's cells, hundreds or thousands of them, cut by planes through
-the contact and a sphere around it; whatever stands behind ``generator.Generator`` with labels of cells, an expensive
+the contact and a sphere around it; whatever stands behind ``simulator.Generator`` with labels of cells, an expensive
 simulation included, goes the way this one goes.
 """
 
@@ -29,52 +29,54 @@ SECTORS = 6  # the most that a contact parts the body around it into
 
 @dataclass(frozen=True, eq=False)
 class RadialSimulator:
-    """Radial cracks through each contact, along the blow, and a spherical one where they end.
+    """Radial cracks through each contact, along the impact, and a spherical one where they end.
 
     A contact of severity s at a point of strength σ (more solid behind it, more strength) cracks the body from
-    s = σ on: into 2 sectors about the blow, one more for every factor √2 beyond, out to REACH s/σ, the first crack
+    s = σ on: into 2 sectors about the impact, one more for every factor √2 beyond, out to REACH s/σ, the first crack
     towards the centre of the body. Several contacts divide the body among them like a weighted Voronoi diagram.
     """
 
     surface: Surface
-    parts: Solid
-    crumb_floor: float
+    cells: Solid
+    min_piece_volume_fraction: float
     fixed_cracks: bool = False
 
     @cached_property
     def interfaces(self) -> Interfaces:
-        return interfaces_between(self.parts)
+        return interfaces_between(self.cells)
 
     @cached_property
     def strength(self) -> FloatArray:
         """(V,) severity from which a single contact at each vertex cracks the body."""
-        tree = cKDTree(self.parts.centroids)
+        tree = cKDTree(self.cells.centroids)
         near = tree.query_ball_point(self.surface.vertices, SUPPORT)
-        backed = np.array([self.parts.volumes[rows].sum() for rows in near])
+        backed = np.array([self.cells.volumes[rows].sum() for rows in near])
         return BARE + backed / (4 / 3 * np.pi * SUPPORT**3)
 
-    def _ratios(self, blows: Impacts) -> FloatArray:
+    def _ratios(self, impacts: Impacts) -> FloatArray:
         """(N, K): severity over strength at each contact."""
-        corner = self.surface.faces[blows.faces]
-        strength = np.einsum("nkc,nkc->nk", blows.barycentric, self.strength[corner])
-        return np.asarray(blows.severities / strength)
+        corner = self.surface.faces[impacts.faces]
+        strength = np.einsum("nkc,nkc->nk", impacts.barycentric, self.strength[corner])
+        return np.asarray(impacts.severities / strength)
 
-    def thresholds(self, blows: Impacts) -> FloatArray:
-        return np.asarray(1.0 / self._ratios(blows).max(axis=1))
+    def thresholds(self, impacts: Impacts) -> FloatArray:
+        return np.asarray(1.0 / self._ratios(impacts).max(axis=1))
 
-    def fracture(self, blows: Impacts) -> Response:
+    def fracture(self, impacts: Impacts) -> Response:
         points = SurfacePoints(self.surface.vertices, self.surface.faces)
-        where = points.at(blows.faces.ravel(), blows.barycentric.reshape(-1, 3)).reshape(*blows.faces.shape, 3)
-        ratios = self._ratios(blows)
-        labels = np.zeros((len(blows), len(self.parts.volumes)), dtype=np.int64)
-        for row in range(len(blows)):
+        where = points.at(impacts.faces.ravel(), impacts.barycentric.reshape(-1, 3)).reshape(*impacts.faces.shape, 3)
+        ratios = self._ratios(impacts)
+        labels = np.zeros((len(impacts), len(self.cells.volumes)), dtype=np.int64)
+        for row in range(len(impacts)):
             active = np.flatnonzero(ratios[row] >= 1.0)
             if len(active):
-                labels[row] = self._pieces(where[row, active], blows.directions[row, active], ratios[row, active])
-        return Response(merge_small_pieces_each(labels, self.parts.volumes, self.interfaces, self.crumb_floor))
+                labels[row] = self._pieces(where[row, active], impacts.directions[row, active], ratios[row, active])
+        return Response(
+            merge_small_pieces_each(labels, self.cells.volumes, self.interfaces, self.min_piece_volume_fraction)
+        )
 
     def _pieces(self, points: FloatArray, directions: FloatArray, ratios: FloatArray) -> IntArray:
-        parts, pairs = self.parts, self.interfaces.pairs
+        parts, pairs = self.cells, self.interfaces.pairs
         arm = parts.centroids[:, None] - points  # (P, K, 3)
         distance = np.linalg.norm(arm, axis=2) / (REACH * ratios)
         owner = np.argmin(distance, axis=1)
@@ -95,7 +97,7 @@ class RadialSimulator:
 
 
 def radial_simulator(
-    surface: Surface, rng: np.random.Generator, cells: int = 5000, crumb_floor: float = 1e-3
+    surface: Surface, rng: np.random.Generator, cells: int = 5000, min_piece_volume_fraction: float = 1e-3
 ) -> RadialSimulator:
     """Cut a surface into about ``cells`` cells and let cracks run freely among them."""
-    return RadialSimulator(surface, cut_lattice(surface, cells, rng), crumb_floor)
+    return RadialSimulator(surface, cut_lattice(surface, cells, rng), min_piece_volume_fraction)

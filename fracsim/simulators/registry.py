@@ -23,26 +23,28 @@ SIMULATORS = ("modal", "elastic", "radial")
 
 @dataclass(frozen=True)
 class SimulatorOptions:
-    """What ``make_generator`` builds.
+    """What ``make_simulator`` builds.
 
     truth: "modal"; "elastic", the modal atoms driven apart by elastic stress; or "radial". cells: of the solid, about.
-    modes: fracture modes, which radial cracks do without. crumb_floor: of the volume; smaller pieces join a
+    modes: fracture modes, which radial cracks do without. min_piece_volume_fraction: of the volume; smaller pieces join a
     neighbour.
     """
 
-    truth: str = "modal"
+    name: str = "modal"
     cells: int = 5000
     modes: int = 20
-    crumb_floor: float = 1e-3
+    min_piece_volume_fraction: float = 1e-3
 
     def __post_init__(self) -> None:
-        if self.truth not in SIMULATORS:
-            raise BakeError(f"unknown truth {self.truth!r}; use {' or '.join(SIMULATORS)}")
+        if self.name not in SIMULATORS:
+            raise BakeError(f"unknown truth {self.name!r}; use {' or '.join(SIMULATORS)}")
         for name, least in (("cells", 50), ("modes", 0)):
             if not (isinstance(getattr(self, name), int) and getattr(self, name) >= least):
                 raise BakeError(f"{name} must be a whole number and at least {least}, got {getattr(self, name)}")
-        if not 0.0 <= self.crumb_floor < 1.0:
-            raise BakeError(f"crumb_floor must be at least 0 and below 1, got {self.crumb_floor}")
+        if not 0.0 <= self.min_piece_volume_fraction < 1.0:
+            raise BakeError(
+                f"min_piece_volume_fraction must be at least 0 and below 1, got {self.min_piece_volume_fraction}"
+            )
 
 
 def make_simulator(
@@ -57,13 +59,13 @@ def make_simulator(
         raise BakeError(f"a seed must be at least 0, got {seed}")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     with threadpool_limits(1):  # sums in one order, whatever the machine
-        if options.truth == "radial":
+        if options.name == "radial":
             from .radial import radial_simulator
 
             progress("solid", 0.0)
-            return radial_simulator(surface, rng, options.cells, options.crumb_floor)
-        modal = modal_simulator(surface, rng, options.cells, options.modes, options.crumb_floor, progress)
-    if options.truth == "elastic":
+            return radial_simulator(surface, rng, options.cells, options.min_piece_volume_fraction)
+        modal = modal_simulator(surface, rng, options.cells, options.modes, options.min_piece_volume_fraction, progress)
+    if options.name == "elastic":
         from .elastic import elastic_simulator
 
         return elastic_simulator(modal, progress=progress)

@@ -22,7 +22,7 @@ except ImportError as error:
     raise MissingExtraError("potpourri3d", "bake") from error
 
 
-SHORE = 16  # vertices along an interface's curve at which a field is read
+VERTICES_PER_INTERFACE = 16  # vertices along an interface's curve at which a field is read
 CAP = 0.3  # of the largest extent: a field says nothing about cracks further away than that
 
 
@@ -134,7 +134,7 @@ def interface_distances(
     """Distances to the curve of each interface on its own.
 
     pairs: (I, 2) ascending, the interfaces. Returns distances (I, V + E), capped at CAP and at CAP throughout
-    where an interface does not reach the surface; and shores (I, SHORE), vertices of the faces that each curve
+    where an interface does not reach the surface; and interface_vertices (I, VERTICES_PER_INTERFACE), vertices of the faces that each curve
     crosses, evenly from the list of them, or -1 throughout.
     """
     count = int(max(curves.parts.max(initial=0), pairs.max(initial=0))) + 1
@@ -142,11 +142,13 @@ def interface_distances(
     order = np.argsort(key, kind="stable")
     low, high = (np.searchsorted(key[order], pairs[:, 0] * count + pairs[:, 1], side=s) for s in ("left", "right"))
     result = np.empty((len(pairs), len(curves.nodes)))
-    shores = np.full((len(pairs), SHORE), -1)
+    interface_vertices = np.full((len(pairs), VERTICES_PER_INTERFACE), -1)
     for row in range(len(pairs)):
         result[row], seeds = curves.to(order[low[row] : high[row]])
         beside = seeds[seeds < curves.vertices]
         if len(beside):
-            shores[row] = beside[np.linspace(0, len(beside) - 1, SHORE).round().astype(np.int64)]
+            interface_vertices[row] = beside[
+                np.linspace(0, len(beside) - 1, VERTICES_PER_INTERFACE).round().astype(np.int64)
+            ]
         progress((row + 1) / len(pairs))
-    return result, shores
+    return result, interface_vertices

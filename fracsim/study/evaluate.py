@@ -98,7 +98,7 @@ def _stem(plan: Plan, mesh: MeshPlan, model: ModelPlan) -> str:
     """A file name that changes with whatever the model's weights depend on."""
     told = {name: value for name, value in asdict(model).items() if name != "meshes"}
     learned: dict[str, Any] = {"mesh": (mesh.name, mesh.splits, mesh.samples), "model": told, "seed": plan.seed}
-    learned["truth"] = asdict(plan.truth)
+    learned["simulator"] = asdict(plan.simulator)
     if model.others:
         learned["all"] = [(m.name, m.splits, m.samples) for m in plan.meshes]
     digest = hashlib.sha256(json.dumps(learned, sort_keys=True).encode()).hexdigest()[:12]
@@ -125,13 +125,13 @@ class Bench:
 
     def __init__(self, plan: Plan, mesh: MeshPlan, work: Path, stage: Stages) -> None:
         self.plan, self.mesh, self.work, self.stage = plan, mesh, work, stage
-        self.body, self.samples, self.generator = dataset_of(plan, mesh, work, stage)
-        test = self.samples.part(2)
+        self.body, self.samples, self.simulator = dataset_of(plan, mesh, work, stage)
+        test = self.samples.of_split(2)
         parts = test.labels.any(axis=1)
-        self.breaking = test.rows(np.flatnonzero(parts)[: mesh.tested])
-        self.mixed = test.rows(slice(mesh.tested))  # as they come, to be judged on whether they part it at all
-        validation = self.samples.part(1)
-        self.judges = validation.rows(np.flatnonzero(validation.labels.any(axis=1))[:JUDGES])
+        self.breaking = test.take(np.flatnonzero(parts)[: mesh.tested])
+        self.mixed = test.take(slice(mesh.tested))  # as they come, to be judged on whether they part it at all
+        validation = self.samples.of_split(1)
+        self.judges = validation.take(np.flatnonzero(validation.labels.any(axis=1))[:JUDGES])
         self.graph = SurfaceGraph.of(self.body.surface)
         self.linked = SurfaceGraph.of(self.body.surface, self.body.links)
 
@@ -139,7 +139,7 @@ class Bench:
         """Train one model, where there is none of it yet, and judge it with every segmentation."""
         model, fit = self._model(plan)
         few = self.mesh.slow if plan.kind in SLOW else self.mesh.tested
-        breaking, mixed, judges = (s.rows(slice(few)) for s in (self.breaking, self.mixed, self.judges))
+        breaking, mixed, judges = (s.take(slice(few)) for s in (self.breaking, self.mixed, self.judges))
         tick = self.stage.ticker(f"{self.mesh.name}: {plan.name}, prediction")
         fields, spent = self._predict(plan, model, breaking, tick)
         held_out, _ = self._predict(plan, model, judges)
@@ -197,10 +197,10 @@ class Bench:
     # Models
 
     def _model(self, plan: ModelPlan) -> tuple[Any, dict[str, Any]]:
-        if plan.kind == "truth":
+        if plan.kind == "simulator":
             return None, {}
-        if plan.kind == "modes":
-            return PrecomputedModel.of(self.body, self.generator), {}
+        if plan.kind == "precomputed":
+            return PrecomputedModel.of(self.body, self.simulator), {}
         stem = _stem(self.plan, self.mesh, plan)
         path, checkpoint = self.work / f"{stem}.safetensors", self.work / f"{stem}.checkpoint"
         if not path.is_file():
@@ -228,7 +228,7 @@ class Bench:
         self, plan: ModelPlan, model: Any, samples: Samples, tick: Callable[[float], None] = lambda _: None
     ) -> tuple[Float32Array, list[float]]:
         """Fields (N, V), and the ms that each took, one impulse after the other as a simulation would ask."""
-        if plan.kind == "truth":
+        if plan.kind == "simulator":
             return self.body.fields(samples.labels), [0.0] * len(samples)
         return _one_by_one(model.predict, samples, tick)
 
@@ -250,7 +250,7 @@ class Bench:
         )
         name = "watershed; threshold from validation"
         result[name] = Cut(partial(self._vertex_cut, "watershed", fields, threshold), threshold, True)
-        if plan.kind == "truth":
+        if plan.kind == "simulator":
             result["midpoints and links"] = self._passes_cut(self.body.fields(breaking.labels, nodes=True), 0.0)
         elif hasattr(model, "predict_nodes"):
             nodes, spent = _one_by_one(model.predict_nodes, breaking)
@@ -273,7 +273,9 @@ class Bench:
     def _atoms_cut(self, udf: Float32Array, height: float) -> IntArray:
         body = self.body
         labels = body.basins.labels(udf.astype(np.float64), height)
-        whole = merge_small_pieces_each(labels[None], body.volumes, body.interfaces, body.atoms.crumb_floor)[0]
+        whole = merge_small_pieces_each(
+            labels[None], body.volumes, body.interfaces, body.atoms.min_piece_volume_fraction
+        )[0]
         return whole[body.vertex_atom]
 
     def _chosen(
@@ -306,7 +308,7 @@ class Bench:
     ) -> dict[str, Any] | None:
         """Whether impulses as they come part the body at all, for the segmentations made for it."""
         if segmentation == "none: labels":
-            labels = model.predict_labels(mixed.blows)
+            labels = model.predict_labels(mixed.impacts)
         elif segmentation == "atoms" and parameter is not None:
             fields, _ = self._predict(plan, model, mixed)
             labels = np.array([self._atoms_cut(udf, parameter) for udf in fields])
@@ -342,16 +344,16 @@ def dataset_of(
     plan: Plan, mesh: MeshPlan, work: Path, stage: Stages
 ) -> tuple[BodyGeometry, Samples, FractureSimulator]:
     """The body and samples of a mesh, made if they are not there yet."""
-    told = json.dumps([asdict(plan.truth), mesh.splits, plan.seed], sort_keys=True)
+    told = json.dumps([asdict(plan.simulator), mesh.splits, plan.seed], sort_keys=True)
     path = work / f"{mesh.name}-{hashlib.sha256(told.encode()).hexdigest()[:12]}.h5"
     stage(f"{mesh.name}: samples")
     if not (path.is_file() and _holds(path, mesh.samples)):  # or another worker may be reading what it made
-        make_dataset(path, surface_of(mesh), mesh.samples, plan.seed, plan.truth)
+        make_dataset(path, surface_of(mesh), mesh.samples, plan.seed, plan.simulator)
     with Dataset(path) as dataset:
         body, samples = BodyGeometry.read(dataset, stage.ticker(f"{mesh.name}: distances"))
-        generator = dataset.generator
-    assert generator is not None  # Body.read has refused a dataset without one
-    return body, samples.rows(slice(mesh.samples)), generator
+        simulator = dataset.simulator
+    assert simulator is not None  # Body.read has refused a dataset without one
+    return body, samples.take(slice(mesh.samples)), simulator
 
 
 def _holds(path: Path, count: int) -> bool:
@@ -361,7 +363,7 @@ def _holds(path: Path, count: int) -> bool:
 
 def _first(samples: Samples, count: int | None) -> Samples:
     """As if only so many had been drawn; the test rows among them are of no use to training."""
-    return samples if count is None else samples.rows(slice(count))
+    return samples if count is None else samples.take(slice(count))
 
 
 def _one_by_one(
@@ -370,9 +372,9 @@ def _one_by_one(
     """What a model says of each impulse, and the ms each took, asked for one after the other as a simulation would."""
     answers, spent = [], []
     for k in range(len(samples)):
-        blow = samples.rows(slice(k, k + 1)).blows
+        impact = samples.take(slice(k, k + 1)).impacts
         begin = time.perf_counter()
-        answers.append(predict(blow)[0])
+        answers.append(predict(impact)[0])
         spent.append((time.perf_counter() - begin) * 1e3)
         tick((k + 1) / len(samples))
     return np.array(answers), spent

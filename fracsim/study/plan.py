@@ -12,7 +12,7 @@ from ..learning.model import MODELS
 from ..learning.options import TrainingOptions
 from ..simulators.registry import SimulatorOptions
 
-UNLEARNED = ("truth", "modes")
+UNLEARNED = ("simulator", "precomputed")
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Plan:
 
     meshes: tuple[MeshPlan, ...]
     models: tuple[ModelPlan, ...]
-    truth: SimulatorOptions
+    simulator: SimulatorOptions
     seed: int
     published: tuple[dict[str, Any], ...]
     studies: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ def read_plan(path: str | Path) -> Plan:
         plan = Plan(
             tuple(replace(m, file=str((path.parent / m.file).resolve())) for m in meshes),
             models,
-            SimulatorOptions(**told.pop("truth", {})),
+            SimulatorOptions(**told.pop("simulator", {})),
             int(told.pop("seed", 0)),
             tuple(told.pop("published", ())),
             tuple(str((path.parent / study).resolve()) for study in told.pop("studies", ())),

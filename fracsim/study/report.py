@@ -231,7 +231,7 @@ def _chart(rows: list[Row], told: list[Row]) -> Figure:
     """Run time against error: every model, segmentation and mesh on one chart."""
     figure = Figure(figsize=(11, 7), layout="constrained")
     axes = figure.subplots()
-    measured = [r for r in rows if r["kind"] != "truth" and r["predict_ms"]["median"] > 0]
+    measured = [r for r in rows if r["kind"] != "simulator" and r["predict_ms"]["median"] > 0]
     meshes = list(dict.fromkeys(r["mesh"] for r in (*rows, *told)))
     models = list(dict.fromkeys(r["model"] for r in measured))
     colours = dict(zip(models, matplotlib.color_sequences["tab20"], strict=False))
@@ -287,7 +287,7 @@ def _correlation(rows: list[Row]) -> Figure | None:
 
 def _curves(rows: list[Row]) -> Figure | None:
     """Share of impulses that break the body over severity / threshold; the truth is a step at 1."""
-    shown = [r for r in rows if r.get("breaks") and r["segmentation"] == "atoms" and r["kind"] != "truth"]
+    shown = [r for r in rows if r.get("breaks") and r["segmentation"] == "atoms" and r["kind"] != "simulator"]
     meshes = list(dict.fromkeys(r["mesh"] for r in shown))
     if not shown:
         return None

@@ -41,7 +41,7 @@ FAULTS = (ModelError, FieldError, MemoryError, torch.OutOfMemoryError)
 
 def fold_of(samples: Samples, fold: int) -> Samples:
     """The samples outside the test split: those of a fold to validate on, all others to train on."""
-    inside = samples.rows(samples.fold >= 0)
+    inside = samples.take(samples.fold >= 0)
     return replace(inside, split=(inside.fold == fold).astype(np.int64))
 
 
@@ -112,7 +112,7 @@ def measure(
         begin = time.perf_counter()
         model, _ = kind.fit(body, told, options, search.seed, run)
         fitting += time.perf_counter() - begin
-        held_out = told.part(1)
+        held_out = told.of_split(1)
         rows.append({**_errors(body, held_out, model), **_segmented(body, held_out, model, graph)})
         spent += _times(model, held_out)
         progress((fold + 1) / search.folds)
@@ -134,17 +134,17 @@ def _part(progress: Callable[[float], None], done: int, of: int) -> Callable[[fl
 def _errors(body: BodyGeometry, samples: Samples, model: Any) -> dict[str, float]:
     total = {"amae": 0.0, "mse": 0.0}
     for start in range(0, len(samples), CHUNK):
-        chunk = samples.rows(slice(start, start + CHUNK))
-        truth, guess = body.fields(chunk.labels), model.predict(chunk.blows)
+        chunk = samples.take(slice(start, start + CHUNK))
+        truth, guess = body.fields(chunk.labels), model.predict(chunk.impacts)
         total["amae"] += metrics.amae(truth, guess) * len(chunk)
         total["mse"] += metrics.mse(truth, guess) * len(chunk)
     return {name: value / len(samples) for name, value in total.items()}
 
 
 def _segmented(body: BodyGeometry, samples: Samples, model: Any, graph: SurfaceGraph) -> dict[str, float]:
-    parted = samples.rows(np.flatnonzero(samples.labels.any(axis=1))[:PARTED])
+    parted = samples.take(np.flatnonzero(samples.labels.any(axis=1))[:PARTED])
     found: dict[str, list[float]] = {"bc": [], "rc": [], "ari": [], "ami": []}
-    for k, udf in enumerate(model.predict(parted.blows) if len(parted) else ()):
+    for k, udf in enumerate(model.predict(parted.impacts) if len(parted) else ()):
         truth = parted.labels[k][body.vertex_atom]
         labels = METHODS["watershed"](graph, udf.astype(np.float64), DEFAULTS["watershed"])
         for name, value in metrics.partition_scores(body.vertices, graph.edges, truth, labels).items():
@@ -157,10 +157,10 @@ def _times(model: Any, samples: Samples) -> list[float]:
     spent = []
     with threadpool_limits(1):
         for k in range(min(QUERIES, len(samples))):
-            blow = samples.rows(slice(k, k + 1)).blows
-            model.predict(blow)
+            impact = samples.take(slice(k, k + 1)).impacts
+            model.predict(impact)
             for _ in range(REPEATS):
                 begin = time.perf_counter()
-                model.predict(blow)
+                model.predict(impact)
                 spent.append(time.perf_counter() - begin)
     return spent

@@ -45,15 +45,15 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
 
     with Dataset(path) as dataset:
         breaking = [
-            block.rows(np.flatnonzero(block.labels.any(axis=1))) for block in _enough(dataset.blocks(skip_damaged=True))
+            block.take(np.flatnonzero(block.labels.any(axis=1))) for block in _enough(dataset.blocks(skip_damaged=True))
         ]
         if not breaking:
             raise DatasetError(f"{path}: no sample breaks the body; there is nothing to draw")
         samples = Samples.join(breaking)
         rng = np.random.default_rng(seed)
-        shown = samples.rows(_of_every_kind(samples.kind, COLUMNS * ROWS, rng))
+        shown = samples.take(_of_every_kind(samples.kind, COLUMNS * ROWS, rng))
         vertices, faces = dataset.surface.vertices, dataset.surface.faces
-        pieces = shown.labels[:, surface_cells(dataset.parts, len(vertices))]
+        pieces = shown.labels[:, surface_cells(dataset.cells, len(vertices))]
         fields = dataset.fields(shown.labels)[:, : len(vertices)]
         cap = float(dataset.header["cap"])
         name = Path(dataset.surface.name).stem
@@ -83,15 +83,15 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
 
 
 def picture_fractures(
-    asset: BreakableAsset, blows: Sequence[tuple[Sequence[Impulse], Fracture]], out: str | Path
+    asset: BreakableAsset, impacts: Sequence[tuple[Sequence[Impulse], Fracture]], out: str | Path
 ) -> None:
     """Draw fractures of an asset, a row each: the distance field with what struck it, the pieces, these pulled apart,
     and their convex parts."""
     titles = "distance to the nearest crack", "pieces", "pulled apart", "their convex parts"
-    figure = Figure(figsize=(3.4 * len(titles), 3.2 * len(blows)), layout="constrained")
-    rows = figure.subplots(len(blows), len(titles), squeeze=False)
+    figure = Figure(figsize=(3.4 * len(titles), 3.2 * len(impacts)), layout="constrained")
+    rows = figure.subplots(len(impacts), len(titles), squeeze=False)
     palette = matplotlib.colormaps["tab20"](np.arange(20))
-    for axes, (impulses, fracture) in zip(rows, blows, strict=True):
+    for axes, (impulses, fracture) in zip(rows, impacts, strict=True):
         frame = view_frame(-np.sum([impulse.direction for impulse in impulses], axis=0))
         distance = fracture.udf[asset.faces].mean(axis=1) / max(float(fracture.udf.max()), 1e-300)
         draw_mesh(axes[0], asset.vertices, asset.faces, matplotlib.colormaps["viridis"](distance), frame)

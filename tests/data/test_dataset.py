@@ -38,7 +38,7 @@ def surface():
 
 
 @pytest.fixture(scope="module")
-def generator(surface):
+def simulator(surface):
     return make_simulator(surface, SMALL, 0)
 
 
@@ -60,59 +60,59 @@ def copy(made, tmp_path):
 
 
 def test_single_blows_are_uniform_over_the_area_and_within_the_cone(surface):
-    blows, kind = draw_impacts(surface, 40000, np.random.default_rng(0))
+    impacts, kind = draw_impacts(surface, 40000, np.random.default_rng(0))
     single = kind == 0
     points = SurfacePoints(surface.vertices, surface.faces)
-    hits = np.bincount(blows.faces[single, 0], minlength=len(surface.faces))
+    hits = np.bincount(impacts.faces[single, 0], minlength=len(surface.faces))
     assert chisquare(hits, points.share * single.sum()).pvalue > 1e-3
-    cosine = -np.einsum("ni,ni->n", blows.directions[single, 0], points.normals[blows.faces[single, 0]])
+    cosine = -np.einsum("ni,ni->n", impacts.directions[single, 0], points.normals[impacts.faces[single, 0]])
     # Uniform over a spherical cap: the cosine is uniform.
     assert kstest(cosine, "uniform", (np.cos(CONE), 1 - np.cos(CONE))).pvalue > 1e-3
 
 
 def test_a_quarter_act_at_2_to_6_places_in_every_way_there_is(surface):
-    blows, kind = draw_impacts(surface, 8000, np.random.default_rng(1))
-    contacts = (blows.severities > 0).sum(axis=1)
+    impacts, kind = draw_impacts(surface, 8000, np.random.default_rng(1))
+    contacts = (impacts.severities > 0).sum(axis=1)
     assert (contacts[kind == 0] == 1).all()
     assert ((contacts[kind > 0] >= 2) & (contacts[kind > 0] <= CONTACTS)).all()
     assert 0.23 < (kind > 0).mean() < 0.27
     assert (np.bincount(kind, minlength=len(KINDS))[1:] > 8000 * 0.05).all()
-    np.testing.assert_allclose(blows.severities.sum(axis=1), 1.0)
-    np.testing.assert_allclose(np.linalg.norm(blows.directions, axis=2), 1.0)
+    np.testing.assert_allclose(impacts.severities.sum(axis=1), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(impacts.directions, axis=2), 1.0)
 
 
 def test_a_grip_squeezes_and_a_landing_pushes_one_way(surface):
-    blows, kind = draw_impacts(surface, 4000, np.random.default_rng(2))
-    push = blows.directions * blows.severities[:, :, None]
+    impacts, kind = draw_impacts(surface, 4000, np.random.default_rng(2))
+    push = impacts.directions * impacts.severities[:, :, None]
     net = np.linalg.norm(push.sum(axis=1), axis=1)
     assert (net[kind == KINDS.index("grip")] < np.sin(np.deg2rad(10)) + 1e-9).all()
     for one_way in ("landing", "ring"):
         assert (net[kind == KINDS.index(one_way)] > np.cos(np.deg2rad(20))).all()
     points = SurfacePoints(surface.vertices, surface.faces)
     rows = kind == KINDS.index("grip")
-    where = points.at(blows.faces[rows, :2].ravel(), blows.barycentric[rows, :2].reshape(-1, 3)).reshape(-1, 2, 3)
-    inward = -points.normals[blows.faces[rows, 0]]
+    where = points.at(impacts.faces[rows, :2].ravel(), impacts.barycentric[rows, :2].reshape(-1, 3)).reshape(-1, 2, 3)
+    inward = -points.normals[impacts.faces[rows, 0]]
     arm = where[:, 1] - where[:, 0]
     beside = np.linalg.norm(arm - np.einsum("ni,ni->n", arm, inward)[:, None] * inward, axis=1)
     assert np.quantile(beside, 0.9) < 0.1
-    facing = np.einsum("ni,ni->n", points.normals[blows.faces[rows, 0]], points.normals[blows.faces[rows, 1]])
+    facing = np.einsum("ni,ni->n", points.normals[impacts.faces[rows, 0]], points.normals[impacts.faces[rows, 1]])
     assert (facing < -0.5).mean() > 0.95
 
 
-def contact_points(surface, blows, rows):
+def contact_points(surface, impacts, rows):
     points = SurfacePoints(surface.vertices, surface.faces)
-    where = points.at(blows.faces[rows].ravel(), blows.barycentric[rows].reshape(-1, 3))
-    return where.reshape(-1, CONTACTS, 3), blows.severities[rows] > 0
+    where = points.at(impacts.faces[rows].ravel(), impacts.barycentric[rows].reshape(-1, 3))
+    return where.reshape(-1, CONTACTS, 3), impacts.severities[rows] > 0
 
 
 def test_a_landing_is_on_the_lowest_points_and_a_ring_is_round(surface):
-    blows, kind = draw_impacts(surface, 6000, np.random.default_rng(3))
-    where, there = contact_points(surface, blows, kind == KINDS.index("landing"))
-    push = (blows.directions * blows.severities[:, :, None]).sum(axis=1)[kind == KINDS.index("landing")]
+    impacts, kind = draw_impacts(surface, 6000, np.random.default_rng(3))
+    where, there = contact_points(surface, impacts, kind == KINDS.index("landing"))
+    push = (impacts.directions * impacts.severities[:, :, None]).sum(axis=1)[kind == KINDS.index("landing")]
     push /= np.linalg.norm(push, axis=1)[:, None]
     height = np.einsum("nki,ni->nk", where, push) - (surface.vertices @ push.T).min(axis=0)[:, None]
     assert np.quantile(height[there], 0.9) < 0.15
-    where, there = contact_points(surface, blows, kind == KINDS.index("ring"))
+    where, there = contact_points(surface, impacts, kind == KINDS.index("ring"))
     count = there.sum(axis=1, keepdims=True)
     middle = (where * there[:, :, None]).sum(axis=1) / count
     reach = np.linalg.norm(where - middle[:, None], axis=2)
@@ -125,46 +125,46 @@ def test_a_landing_is_on_the_lowest_points_and_a_ring_is_round(surface):
 @pytest.mark.parametrize("shape", ["plate", "bell"])
 def test_every_contact_pushes(surface, shape):
     body = surface if shape == "bell" else refine(read_surface(trimesh.creation.box((1.0, 1.0, 0.05))))
-    blows, _ = draw_impacts(body, 4000, np.random.default_rng(4))
+    impacts, _ = draw_impacts(body, 4000, np.random.default_rng(4))
     points = SurfacePoints(body.vertices, body.faces)
-    outward = np.einsum("nki,nki->nk", blows.directions, points.normals[blows.faces])
-    assert (outward[blows.severities > 0] < 0).all()
+    outward = np.einsum("nki,nki->nk", impacts.directions, points.normals[impacts.faces])
+    assert (outward[impacts.severities > 0] < 0).all()
 
 
-def test_severity_is_log_uniform_about_the_threshold_and_nothing_is_rejected(generator):
-    drawn = sample(generator, 4000, 0)
+def test_severity_is_log_uniform_about_the_threshold_and_nothing_is_rejected(simulator):
+    drawn = sample(simulator, 4000, 0)
     assert len(drawn) == 4000
     assert kstest(np.log(drawn.ratio), "uniform", (np.log(0.3), np.log(5 / 0.3))).pvalue > 1e-3
     np.testing.assert_array_equal(drawn.labels.any(axis=1), drawn.ratio >= 1)
-    parted = separated(drawn.labels, generator.interfaces.pairs)
+    parted = separated(drawn.labels, simulator.interfaces.pairs)
     assert (drawn.broken | ~parted).all()  # nothing comes apart where nothing broke
     assert np.bincount(drawn.split).tolist() == [3060, 340, 600]
     assert (drawn.fold[drawn.split == 2] == -1).all()
     assert np.bincount(drawn.fold[drawn.split != 2]).tolist() == [680] * 5
 
 
-def test_a_longer_draw_begins_with_the_shorter_one(generator):
-    same(sample(generator, 500, 7), sample(generator, 900, 7).rows(slice(500)))
+def test_a_longer_draw_begins_with_the_shorter_one(simulator):
+    same(sample(simulator, 500, 7), sample(simulator, 900, 7).take(slice(500)))
 
 
 # The same bits whoever makes them
 
 
-def test_workers_do_not_change_a_bit(generator):
-    alone, together = (list(run_blocks(sample_block, generator, 5, [0, 1, 2], workers)) for workers in (1, 2))
+def test_workers_do_not_change_a_bit(simulator):
+    alone, together = (list(run_blocks(sample_block, simulator, 5, [0, 1, 2], workers)) for workers in (1, 2))
     for one, other in zip(alone, together, strict=True):
         same(one, other)
 
 
-def test_wrong_workers_and_backends_are_refused(generator, surface, tmp_path):
+def test_wrong_workers_and_backends_are_refused(simulator, surface, tmp_path):
     for wrong in ({"workers": 0}, {"backend": "slurm"}, {"seed": 1.5}, {"seed": -1}):
         with pytest.raises(DatasetError):
             make_dataset(tmp_path / "d.h5", surface, **{"total": 10, "options": SMALL, **wrong})
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(DatasetError, match="workers must be at least 1"):
-        sample(generator, 10, 0, workers=0)
+        sample(simulator, 10, 0, workers=0)
     with pytest.raises(DatasetError, match="unknown backend 'slurm'"):
-        sample(generator, 10, 0, backend="slurm")
+        sample(simulator, 10, 0, backend="slurm")
 
 
 # The file
@@ -174,14 +174,19 @@ def test_a_file_says_what_it_is_and_answers_again(made, surface):
     with Dataset(made) as dataset:
         drawn = dataset.samples()
         assert len(drawn) == len(dataset) == 1000
-        same(drawn, sample(dataset.generator, 1000, 3))
+        same(drawn, sample(dataset.simulator, 1000, 3))
         same(drawn, sample(make_simulator(surface, SMALL, 3), 1000, 3))
         np.testing.assert_array_equal(dataset.surface.vertices, surface.vertices)
         np.testing.assert_array_equal(dataset.links, facing_vertices(surface))
-        assert dataset.header["truth"] == {"truth": "modal", "cells": 500, "modes": 4, "crumb_floor": 1e-3}
-        whole = drawn.rows(~drawn.labels.any(axis=1))
+        assert dataset.header["simulator"] == {
+            "name": "modal",
+            "cells": 500,
+            "modes": 4,
+            "min_piece_volume_fraction": 1e-3,
+        }
+        whole = drawn.take(~drawn.labels.any(axis=1))
         np.testing.assert_allclose(dataset.fields(whole.labels[:3]), dataset.header["cap"], rtol=1e-3)
-        broken = dataset.fields(drawn.rows(drawn.labels.any(axis=1)).labels[:3])
+        broken = dataset.fields(drawn.take(drawn.labels.any(axis=1)).labels[:3])
         assert broken.shape[1] == len(surface.vertices) + len(surface.trimesh.edges_unique)
         assert (broken.min(axis=1) < 0.05).all()
 
@@ -206,9 +211,9 @@ def counted(monkeypatch):
     """Which blocks are made."""
     made = []
 
-    def job(generator, seed, block):
+    def job(simulator, seed, block):
         made.append(block)
-        return sample_block(generator, seed, block)
+        return sample_block(simulator, seed, block)
 
     monkeypatch.setattr("fracsim.data.writing.sample_block", job)
     return made
@@ -314,7 +319,7 @@ def test_a_damaged_chunk_is_named_the_rest_is_read_and_making_again_mends_it(cop
         with pytest.raises(DatasetError, match=r"d\.h5: the chunk of /samples/labels, rows 400 to 799, is damaged"):
             dataset.samples()
         rest = np.r_[0:400, 800:1000]
-        same(dataset.samples(skip_damaged=True), intact.rows(rest))
+        same(dataset.samples(skip_damaged=True), intact.take(rest))
     make_dataset(copy, surface, 1000, 3, SMALL)
     with Dataset(copy) as mended:
         same(mended.samples(), intact)
@@ -370,7 +375,7 @@ def test_an_interrupted_file_is_readable_and_is_taken_up_where_it_was_left(tmp_p
             break
     with Dataset(path) as growing:  # while it is being written
         assert len(growing) >= 3 * BLOCK
-        same(growing.samples().rows(slice(1000)), sample(growing.generator, 1000, 3))
+        same(growing.samples().take(slice(1000)), sample(growing.simulator, 1000, 3))
     writer.send_signal(how)
     writer.wait()
     with Dataset(path) as left:
@@ -378,7 +383,7 @@ def test_an_interrupted_file_is_readable_and_is_taken_up_where_it_was_left(tmp_p
         assert 3 * BLOCK <= kept < 4000
     make_dataset(path, surface, 4000, 3, SMALL)
     with Dataset(path) as whole:
-        same(whole.samples(), sample(whole.generator, 4000, 3))
+        same(whole.samples(), sample(whole.simulator, 4000, 3))
     assert [entry.name for entry in tmp_path.iterdir()] == ["d.h5"]
 
 
@@ -386,41 +391,41 @@ def test_an_interrupted_file_is_readable_and_is_taken_up_where_it_was_left(tmp_p
 
 
 class Halves:
-    """Any blow of severity 2 or more parts the body down the middle."""
+    """Any impact of severity 2 or more parts the body down the middle."""
 
     fixed_cracks = True
 
-    def __init__(self, generator):
+    def __init__(self, simulator):
         from fracsim.solids.polygons import coarsen
         from fracsim.solids.solid import relabel
 
-        self.surface = generator.surface
-        side = (generator.cells.centroids[:, 0] > 0).astype(np.int64)
-        self.cells, self.atom = generator.cells, side
-        self.parts = coarsen(relabel(generator.cells, side), self.surface)
+        self.surface = simulator.surface
+        side = (simulator.fine_cells.centroids[:, 0] > 0).astype(np.int64)
+        self.cells, self.fine_to_cell = simulator.fine_cells, side
+        self.cells = coarsen(relabel(simulator.fine_cells, side), self.surface)
 
-    def thresholds(self, blows: Impacts):
-        return 2.0 / blows.severities.sum(axis=1)
+    def thresholds(self, impacts: Impacts):
+        return 2.0 / impacts.severities.sum(axis=1)
 
-    def fracture(self, blows: Impacts) -> Response:
-        parted = blows.severities.sum(axis=1) >= 2.0 * (1 - 1e-12)
+    def fracture(self, impacts: Impacts) -> Response:
+        parted = impacts.severities.sum(axis=1) >= 2.0 * (1 - 1e-12)
         return Response(np.stack([np.zeros(len(parted), np.int64), parted.astype(np.int64)], axis=1))
 
 
-def test_a_truth_of_ones_own_stands_behind_the_same_file(generator, tmp_path):
+def test_a_truth_of_ones_own_stands_behind_the_same_file(simulator, tmp_path):
     path = tmp_path / "own.h5"
-    own = Halves(generator)
-    make_dataset(path, own.surface, 500, 0, generator=own)
+    own = Halves(simulator)
+    make_dataset(path, own.surface, 500, 0, simulator=own)
     with Dataset(path) as dataset:
-        assert dataset.generator is None
-        assert dataset.header["truth"] == {"truth": "own", "class": "Halves"}
+        assert dataset.simulator is None
+        assert dataset.header["simulator"] == {"name": "own", "class": "Halves"}
         drawn = dataset.samples()
         np.testing.assert_array_equal(drawn.labels[:, 1] == 1, drawn.ratio >= 1)
         assert drawn.broken.shape == (500, 0)
         assert dataset.fields(drawn.labels[:2]).shape[0] == 2
-    with pytest.raises(DatasetError, match="pass that generator"):
+    with pytest.raises(DatasetError, match="pass that simulator"):
         make_dataset(path, own.surface, 600, 0)
-    make_dataset(path, own.surface, 600, 0, generator=own)
+    make_dataset(path, own.surface, 600, 0, simulator=own)
     with pytest.raises(DatasetError, match="cannot be made again from the file"):
         regenerate(path, tmp_path / "again.h5")
 
@@ -436,14 +441,14 @@ WRONG = {
 
 
 @pytest.mark.parametrize("fault", [*WRONG, "thresholds"])
-def test_wrong_answers_of_ones_own_truth_are_refused_before_there_is_a_file(generator, tmp_path, fault):
-    own = Halves(generator)
+def test_wrong_answers_of_ones_own_truth_are_refused_before_there_is_a_file(simulator, tmp_path, fault):
+    own = Halves(simulator)
     if fault == "thresholds":
-        own.thresholds = lambda blows: np.full(len(blows), np.nan)
+        own.thresholds = lambda impacts: np.full(len(impacts), np.nan)
     else:
-        own.fracture = lambda blows: WRONG[fault](len(blows), 2)
+        own.fracture = lambda impacts: WRONG[fault](len(impacts), 2)
     with pytest.raises(DatasetError, match=r"Halves: (labels|broken|thresholds) must"):
-        make_dataset(tmp_path / "own.h5", own.surface, 500, 0, generator=own)
+        make_dataset(tmp_path / "own.h5", own.surface, 500, 0, simulator=own)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -451,15 +456,15 @@ def test_elastic_stress_is_kept_and_gone_on_from_but_not_made_again(surface, tmp
     pytest.importorskip("wildmeshing")
     monkeypatch.setattr("fracsim.simulators.elastic_fem.EDGE", 0.15)  # coarse tetrahedra
     path = tmp_path / "elastic.h5"
-    options = replace(SMALL, truth="elastic")
+    options = replace(SMALL, simulator="elastic")
     make_dataset(path, surface, 500, 0, options)
     with Dataset(path) as dataset:
         first = dataset.samples()
-        same(first, sample(dataset.generator, 500, 0))
+        same(first, sample(dataset.simulator, 500, 0))
         np.testing.assert_array_equal(first.labels.any(axis=1), first.ratio >= 1)
     make_dataset(path, surface, 700, 0, options)
     with Dataset(path) as dataset:
-        same(dataset.samples().rows(slice(500)), first)
+        same(dataset.samples().take(slice(500)), first)
     with pytest.raises(DatasetError, match="cannot be worked out again"):
         regenerate(path, tmp_path / "again.h5")
 
@@ -497,7 +502,7 @@ def test_the_command_line_makes_appends_describes_and_draws(tmp_path, capsys):
         assert main(["dataset", "info", str(out), option, str(out)]) == 2
         assert "would be overwritten" in capsys.readouterr().err
     assert out.read_bytes() == before
-    assert main([*make, "--truth", "magic", "--out", str(tmp_path / "new.h5")]) == 2
+    assert main([*make, "--simulator", "magic", "--out", str(tmp_path / "new.h5")]) == 2
     assert "unknown truth 'magic'" in capsys.readouterr().err
 
 
@@ -505,7 +510,7 @@ def test_options_of_a_truth_are_checked():
     with pytest.raises(BakeError, match="cells must be a whole number and at least 50"):
         SimulatorOptions(cells=3)
     with pytest.raises(BakeError, match="unknown truth"):
-        SimulatorOptions(truth="guess")
+        SimulatorOptions(name="guess")
 
 
 def test_links_join_the_two_sides_of_a_wall_and_nothing_across_a_gap():

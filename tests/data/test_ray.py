@@ -18,14 +18,14 @@ ray = pytest.importorskip("ray")
 def test_a_cluster_of_three_nodes_loses_nothing_when_one_is_killed():
     from ray.cluster_utils import Cluster
 
-    def slow_block(generator, seed, block):  # defined in here, so that ray sends it by value
+    def slow_block(simulator, seed, block):  # defined in here, so that ray sends it by value
         """A block that takes as long as an expensive truth would, and says on which node it was made."""
         time.sleep(0.3)
-        return sample_block(generator, seed, block), ray.get_runtime_context().get_node_id()
+        return sample_block(simulator, seed, block), ray.get_runtime_context().get_node_id()
 
-    generator = make_simulator(read_surface(bar_bell()), SMALL, 0)
+    simulator = make_simulator(read_surface(bar_bell()), SMALL, 0)
     blocks = list(range(12))
-    expected = list(run_blocks(sample_block, generator, 5, blocks))
+    expected = list(run_blocks(sample_block, simulator, 5, blocks))
     often = {"health_check_period_ms": 300}  # a dead node is noticed after five of them
     head = {"num_cpus": 0, "include_dashboard": False, "_system_config": often}
     cluster = Cluster(initialize_head=True, head_node_args=head)
@@ -34,7 +34,7 @@ def test_a_cluster_of_three_nodes_loses_nothing_when_one_is_killed():
         ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)
         cluster.wait_for_nodes()
         made, nodes = [], []
-        for result, node in run_blocks(slow_block, generator, 5, blocks, 2, "ray"):
+        for result, node in run_blocks(slow_block, simulator, 5, blocks, 2, "ray"):
             made.append(result)
             nodes.append(node)
             if len(made) == 5:

@@ -144,9 +144,9 @@ def test_an_impulse_below_the_breaking_impulse_breaks_nothing_and_costs_no_query
 
 
 def test_the_gate_never_holds_back_an_impulse_that_the_generator_breaks(shipped):
-    blows = shipped.sample_impulses(400, 5)
-    for impulses in [[blow] for blow in blows[:200]] + [blows[k : k + 3] for k in range(200, 398, 3)]:
-        weak = [fracsim.Impulse(blow.point, blow.direction, 0.5 * blow.magnitude) for blow in impulses]
+    impacts = shipped.sample_impulses(400, 5)
+    for impulses in [[impact] for impact in impacts[:200]] + [impacts[k : k + 3] for k in range(200, 398, 3)]:
+        weak = [fracsim.Impulse(impact.point, impact.direction, 0.5 * impact.magnitude) for impact in impulses]
         for together in (impulses, weak):
             if shipped.fracture(together, "modes").broken:
                 assert shipped.may_break(together)
@@ -173,8 +173,8 @@ def test_size_and_material_change_units_only(shipped, scale, seed):
 
 
 def test_the_order_of_simultaneous_impulses_does_not_matter(shipped):
-    blows = shipped.sample_impulses(4, 3)
-    forward, backward = shipped.fracture(blows), shipped.fracture(blows[::-1])
+    impacts = shipped.sample_impulses(4, 3)
+    forward, backward = shipped.fracture(impacts), shipped.fracture(impacts[::-1])
     np.testing.assert_array_equal(forward.labels, backward.labels)
 
 
@@ -187,10 +187,10 @@ def test_an_impulse_beyond_the_trained_severity_is_clamped_and_says_so(shipped):
     assert fracture.broken
 
 
-def test_a_larger_crumb_floor_merges_crumbs_mass_included(shipped):
+def test_a_larger_min_piece_volume_fraction_merges_crumbs_mass_included(shipped):
     import dataclasses
 
-    coarse = dataclasses.replace(shipped, crumb_floor=0.1)
+    coarse = dataclasses.replace(shipped, min_piece_volume_fraction=0.1)
     for impulse in shipped.sample_impulses(20, 4):
         pieces = coarse.fracture(impulse).pieces
         assert min(piece.volume for piece in pieces) >= 0.1 * shipped.volume
@@ -226,7 +226,7 @@ def test_a_truncated_asset_is_refused_by_name(shipped, tmp_path, length):
         ("asset.pairs", lambda x: x + 1000, "pairs points outside"),
         ("asset.distances", lambda x: x[:, :-1].copy(), "distances do not fit"),
         ("asset.hull_sizes", lambda x: x[:-1].copy(), "convex parts"),
-        ("asset.rows", lambda x: x * np.float32(np.nan), "not finite"),
+        ("asset.impact_field", lambda x: x * np.float32(np.nan), "not finite"),
         ("model.coordinates", lambda x: x[:-1].copy(), "vertices do not agree"),
         ("model.skip", lambda x: None, "missing or malformed"),
     ],
@@ -288,13 +288,13 @@ def test_a_fragment_breaks_into_its_own_atoms(shipped):
     fractures = [shipped.fracture(one) for one in shipped.sample_impulses(60, 4)]
     fracture = max(fractures, key=lambda one: max(len(piece.atoms) for piece in one.pieces) if one.broken else 0)
     piece = max(fracture.pieces, key=lambda one: len(one.atoms))
-    fragment = shipped.fragment(piece)
+    fragment = shipped.breakable_piece(piece)
     assert fragment.mass == piece.mass
     assert not fragment.unbroken().broken
     hard = [fracsim.Impulse(one.point, one.direction, 4 * one.magnitude) for one in shipped.sample_impulses(20, 8)]
     seen = 0
-    for blow in hard:
-        again = fragment.fracture(blow)
+    for impact in hard:
+        again = fragment.fracture(impact)
         labels = again.labels
         own = np.isin(shipped.arrays.vertex_atom, piece.atoms)
         assert (labels[~own] == -1).all()
@@ -304,19 +304,19 @@ def test_a_fragment_breaks_into_its_own_atoms(shipped):
         assert again.crack_area >= 0.0
         if again.broken:
             seen += 1
-            assert fragment.may_break(blow)
+            assert fragment.may_break(impact)
             assert again.crack_area > 0.0
-            smaller = shipped.fragment(piece).fragment(again.pieces[0])
+            smaller = shipped.breakable_piece(piece).breakable_piece(again.pieces[0])
             assert smaller.mass == again.pieces[0].mass
     assert seen
 
 
 def test_a_fragment_of_everything_answers_as_the_asset_does(shipped):
-    whole = shipped.fragment(shipped.unbroken().pieces[0])
-    for blow in shipped.sample_impulses(20, 6):
+    whole = shipped.breakable_piece(shipped.unbroken().pieces[0])
+    for impact in shipped.sample_impulses(20, 6):
         # At a vertex, where both see the same place.
-        near = shipped.vertices[np.linalg.norm(shipped.vertices - blow.point, axis=1).argmin()]
-        impulse = fracsim.Impulse(near, blow.direction, blow.magnitude)
+        near = shipped.vertices[np.linalg.norm(shipped.vertices - impact.point, axis=1).argmin()]
+        impulse = fracsim.Impulse(near, impact.direction, impact.magnitude)
         np.testing.assert_array_equal(whole.fracture(impulse).labels, shipped.fracture(impulse).labels)
 
 

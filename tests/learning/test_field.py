@@ -34,8 +34,8 @@ TRAINING = TrainingOptions("adamw", 3e-3, 1e-3, "cosine", batch=256, steps=300)
 
 def drawn(mesh, seed, count=3000):
     surface = read_surface(mesh)
-    generator = make_simulator(surface, SimulatorOptions(cells=700, modes=5), seed)
-    return BodyGeometry.of(surface, atoms_for(generator, [], 1e-3)), sample(generator, count, seed), generator
+    simulator = make_simulator(surface, SimulatorOptions(cells=700, modes=5), seed)
+    return BodyGeometry.of(surface, atoms_for(simulator, [], 1e-3)), sample(simulator, count, seed), simulator
 
 
 @pytest.fixture(scope="module")
@@ -77,38 +77,38 @@ def test_numpy_runs_what_torch_trained(torus, response):
     learner = FieldLearner(body, samples, geometry, options)
     for parameter in learner.module.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
-    some = samples.rows(np.argsort((samples.severities > 0).sum(axis=1))[-40:])  # with several contacts each
+    some = samples.take(np.argsort((samples.severities > 0).sum(axis=1))[-40:])  # with several contacts each
     assert ((some.severities > 0).sum(axis=1) > 1).all()
     with torch.no_grad():
         logits = ContactPatches(some, geometry.coordinates, body.faces).logits(learner.module, torch.arange(len(some)))
     model = FieldModel(body, frozen(learner.module, body, geometry, 1.0))
-    assert np.allclose(model.break_scores(some.blows), torch.sigmoid(logits).numpy(), atol=2e-4)
+    assert np.allclose(model.break_scores(some.impacts), torch.sigmoid(logits).numpy(), atol=2e-4)
 
 
-def test_contacts_have_no_order_and_half_a_blow_twice_is_the_blow(fitted, torus):
+def test_contacts_have_no_order_and_half_a_blow_twice_is_the_impact(fitted, torus):
     model, (_, samples, _) = fitted[0], torus
-    several = samples.rows(samples.kind == 1).rows(slice(20)).blows
+    several = samples.take(samples.kind == 1).take(slice(20)).impacts
     order = np.random.default_rng(0).permutation(several.faces.shape[1])
     turned = type(several)(*(getattr(several, n)[:, order] for n in vars(several)))
     assert np.allclose(model.break_scores(several), model.break_scores(turned), atol=1e-4)
-    single = samples.rows(samples.kind == 0).rows(slice(20)).blows
+    single = samples.take(samples.kind == 0).take(slice(20)).impacts
     twice = [np.repeat(getattr(single, name)[:, :1], 2, axis=1) for name in ("faces", "barycentric", "directions")]
     halves = type(single)(*twice, np.repeat(single.severities[:, :1] / 2, 2, axis=1))
     assert np.allclose(model.break_scores(single), model.break_scores(halves), atol=1e-4)
 
 
 def test_it_learns_more_than_the_nearest_impulse_tells(fitted, torus):
-    model, (body, samples, generator) = fitted[0], torus
-    test = samples.part(2)
-    test = test.rows(test.labels.any(axis=1))
+    model, (body, samples, simulator) = fitted[0], torus
+    test = samples.of_split(2)
+    test = test.take(test.labels.any(axis=1))
     owner = body.vertex_atom
 
     def score(labels):
         return np.mean([ari(a, b) for a, b in zip(test.labels[:, owner], labels[:, owner], strict=True)])
 
     nearest, _ = Nearest.fit(body, samples, NearestOptions(), 0)
-    assert score(model.predict_labels(test.blows)) > score(nearest.predict_labels(test.blows)) + 0.05
-    assert score(PrecomputedModel.of(body, generator).predict_labels(test.blows)) == 1.0
+    assert score(model.predict_labels(test.impacts)) > score(nearest.predict_labels(test.impacts)) + 0.05
+    assert score(PrecomputedModel.of(body, simulator).predict_labels(test.impacts)) == 1.0
     assert fitted[1]["validation_ari"] > 0.85
 
 
@@ -116,11 +116,11 @@ def test_a_model_without_presumptions_reads_its_field_off_its_labels(torus):
     body, samples, _ = torus
     options = InterfaceOptions(eigenfunctions=24, training=replace(TRAINING, steps=100))
     model, _ = InterfaceModel.fit(body, samples, options)
-    blows = samples.part(2).rows(slice(50)).blows
-    labels = model.predict_labels(blows)
+    impacts = samples.of_split(2).take(slice(50)).impacts
+    labels = model.predict_labels(impacts)
     assert labels.any()
-    assert np.array_equal(model.predict(blows), body.fields(labels))
-    assert np.array_equal(model.predict_nodes(blows)[:, : len(body.vertices)], model.predict(blows))
+    assert np.array_equal(model.predict(impacts), body.fields(labels))
+    assert np.array_equal(model.predict_nodes(impacts)[:, : len(body.vertices)], model.predict(impacts))
 
 
 def test_one_model_of_two_bodies_is_some_use_on_a_third_that_it_never_saw(torus):
@@ -132,16 +132,16 @@ def test_one_model_of_two_bodies_is_some_use_on_a_third_that_it_never_saw(torus)
     )
     model, _ = SharedField.fit_many(both, options)
     body, samples, _ = torus
-    test = samples.part(2)
-    test = test.rows(test.labels.any(axis=1))
-    labels = model.on(body).predict_labels(test.blows)[:, body.vertex_atom]
+    test = samples.of_split(2)
+    test = test.take(test.labels.any(axis=1))
+    labels = model.on(body).predict_labels(test.impacts)[:, body.vertex_atom]
     truth = test.labels[:, body.vertex_atom]
     assert np.mean([ari(a, b) for a, b in zip(truth, labels, strict=True)]) > 0.85
 
 
 def test_models_come_back_from_their_files_as_they_were_and_only_to_their_body(fitted, torus, tmp_path):
     model, (body, samples, _) = fitted[0], torus
-    blows = samples.part(2).rows(slice(10)).blows
+    impacts = samples.of_split(2).take(slice(10)).impacts
     shared, _ = SharedField.fit(
         body, samples, SharedOptions(eigenfunctions=12, training=TrainingOptions(steps=5, batch=64))
     )
@@ -150,7 +150,7 @@ def test_models_come_back_from_their_files_as_they_were_and_only_to_their_body(f
         save_model(one, path, {"told": 1})
         again, metadata = load_model(path, body)
         assert metadata == {"told": 1}
-        assert np.array_equal(again.predict(blows), one.predict(blows))
+        assert np.array_equal(again.predict(impacts), one.predict(impacts))
     finer = BodyGeometry.of(split_faces(body.surface), body.atoms)
     with pytest.raises(ModelError, match=r"field\.safetensors: .* another body"):
         load_model(tmp_path / "field.safetensors", finer)
@@ -171,10 +171,10 @@ def test_labels_and_field_of_an_asset_are_one_model(slab):
 def test_scores_that_are_not_finite_are_refused_by_every_predictor(slab):
     spoilt = replace(slab.model, slope=np.full_like(slab.model.slope, np.nan))
     asset = replace(slab, model=spoilt)
-    blow = max(asset.sample_impulses(20, 0), key=lambda impulse: impulse.magnitude)
+    impact = max(asset.sample_impulses(20, 0), key=lambda impulse: impulse.magnitude)
     for predictor in ("field", "interfaces"):
         with pytest.raises(fracsim.FieldError, match="not finite"):
-            asset.fracture(blow, predictor)
+            asset.fracture(impact, predictor)
 
 
 @settings(max_examples=20)

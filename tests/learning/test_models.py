@@ -63,9 +63,9 @@ def fitted(told):
 @pytest.mark.parametrize("kind", SMALL)
 def test_a_model_beats_the_answer_that_nothing_breaks(told, fitted, kind):
     body, samples = told
-    held_out = samples.part(2)
+    held_out = samples.of_split(2)
     truth = body.fields(held_out.labels)
-    guess = fitted[kind].predict(held_out.blows)
+    guess = fitted[kind].predict(held_out.impacts)
     assert guess.shape == truth.shape
     assert guess.dtype == np.float32
     assert guess.min() >= 0
@@ -78,8 +78,8 @@ def test_a_model_answers_the_same_after_a_file(told, fitted, kind, tmp_path):
     body, samples = told
     save_model(fitted[kind], tmp_path / "m.safetensors", {"seed": 0})
     again, metadata = load_model(tmp_path / "m.safetensors", body)
-    blows = samples.rows(slice(20)).blows
-    np.testing.assert_array_equal(again.predict(blows), fitted[kind].predict(blows))
+    impacts = samples.take(slice(20)).impacts
+    np.testing.assert_array_equal(again.predict(impacts), fitted[kind].predict(impacts))
     assert metadata == {"seed": 0}
 
 
@@ -87,7 +87,7 @@ def test_a_model_answers_the_same_after_a_file(told, fitted, kind, tmp_path):
 def test_a_model_of_another_body_is_refused(told, fitted, kind, tmp_path, slab_mesh):
     body, _ = told
     save_model(fitted[kind], tmp_path / "m.safetensors")
-    parts = replace(body.atoms, parts=replace(body.atoms.parts, volumes=body.volumes[1:]))
+    parts = replace(body.atoms, solid=replace(body.atoms.solid, volumes=body.volumes[1:]))
     other = replace(body, surface=read_surface(slab_mesh), atoms=parts)
     with pytest.raises(ModelError, match="does not fit this body"):
         load_model(tmp_path / "m.safetensors", other)
@@ -113,7 +113,7 @@ def test_bad_options_are_refused(make, fault):
 def test_samples_without_a_training_part_are_refused(told, kind):
     body, samples = told
     with pytest.raises(ModelError, match="make more"):
-        model_class(kind).fit(body, samples.part(2), SMALL[kind], 0)
+        model_class(kind).fit(body, samples.of_split(2), SMALL[kind], 0)
 
 
 # Inputs
@@ -121,8 +121,8 @@ def test_samples_without_a_training_part_are_refused(told, kind):
 
 def test_contacts_count_by_their_share_of_the_severity(told):
     body, samples = told
-    several = samples.rows(np.flatnonzero((samples.severities > 0).sum(axis=1) > 1))
-    whole = resultant(several.blows, body.surface)
+    several = samples.take(np.flatnonzero((samples.severities > 0).sum(axis=1) > 1))
+    whole = resultant(several.impacts, body.surface)
     k = 0
     there = np.flatnonzero(several.severities[k])
     share = several.severities[k, there] / several.severities[k].sum()
@@ -132,12 +132,12 @@ def test_contacts_count_by_their_share_of_the_severity(told):
     np.testing.assert_allclose(whole[k, 3:6], share @ several.directions[k, there])
     assert whole[k, 6] == pytest.approx(np.log(several.severities[k].sum()))
     with pytest.raises(ModelError, match="has no severity"):
-        resultant(several.blows.times(np.zeros(len(several))), body.surface)
+        resultant(several.impacts.times(np.zeros(len(several))), body.surface)
 
 
 def test_severity_is_clamped_to_what_was_seen_and_absent_from_the_thesis_inputs(told):
     body, samples = told
-    one = samples.rows(slice(5)).blows
+    one = samples.take(slice(5)).impacts
     inputs = ImpulseInputs.of(body, samples, True)
     far, farther = (inputs(body, one.times(np.full(5, factor))) for factor in (1e6, 1e9))
     np.testing.assert_array_equal(far, farther)
@@ -152,23 +152,23 @@ def test_severity_is_clamped_to_what_was_seen_and_absent_from_the_thesis_inputs(
 
 def test_the_perceptron_answers_at_edge_midpoints_and_on_a_finer_mesh(told, fitted):
     body, samples = told
-    blows = samples.rows(slice(7)).blows
+    impacts = samples.take(slice(7)).impacts
     model = fitted["mlp"]
-    nodes = model.predict_nodes(blows)
+    nodes = model.predict_nodes(impacts)
     assert nodes.shape == (7, len(body.nodes))
-    np.testing.assert_allclose(nodes[:, : len(body.vertices)], model.predict(blows), atol=1e-6)
+    np.testing.assert_allclose(nodes[:, : len(body.vertices)], model.predict(impacts), atol=1e-6)
 
     class Finer:
         surface, vertices = body.surface, body.nodes
 
-    np.testing.assert_allclose(model.on(Finer()).predict(blows), nodes, atol=1e-6)
+    np.testing.assert_allclose(model.on(Finer()).predict(impacts), nodes, atol=1e-6)
 
 
 def test_surface_points_are_uniform_and_read_linear_fields_exactly(told):
     body, samples = told
     options = replace(SMALL["mlp"], points="surface")
     model = MLP(body, torch.nn.Linear(1, 1), ImpulseInputs.of(body, samples, True), options)
-    points = _Points(model, samples.part(0), samples.part(1), CPU)
+    points = _Points(model, samples.of_split(0), samples.of_split(1), CPU)
     node, weight = points._draw(40000, torch.Generator().manual_seed(0))
     assert weight.min() >= -1e-6
     np.testing.assert_allclose(weight.sum(dim=1), 1.0, atol=1e-6)
@@ -188,10 +188,10 @@ def test_surface_points_are_uniform_and_read_linear_fields_exactly(told):
 def test_training_anywhere_on_the_surface_learns_as_well(told):
     body, samples = told
     model, figures = MLP.fit(body, samples, replace(SMALL["mlp"], points="surface"), 0)
-    held_out = samples.part(2)
+    held_out = samples.of_split(2)
     truth = body.fields(held_out.labels)
-    assert amae(truth, model.predict(held_out.blows)) < 0.75 * amae(truth, np.full_like(truth, CAP))
-    assert figures["rows"] == len(samples.part(0)) * len(body.vertices)
+    assert amae(truth, model.predict(held_out.impacts)) < 0.75 * amae(truth, np.full_like(truth, CAP))
+    assert figures["rows"] == len(samples.of_split(0)) * len(body.vertices)
 
 
 def test_the_same_seed_gives_the_same_perceptron(told):
@@ -311,12 +311,12 @@ def test_the_choice_of_tangent_frames_makes_no_difference(told):
     options = SMALL["deltaconv"]
     inputs = ImpulseInputs.of(body, samples, True)
     net = DeltaNet(10, options)
-    blows = samples.rows(slice(4)).blows
+    impacts = samples.take(slice(4)).impacts
     angle = np.random.default_rng(1).uniform(0, 2 * np.pi, (len(body.vertices), 1))
     first, second = tangent_frames(body.surface).transpose(1, 0, 2)
     across = np.cos(angle) * first + np.sin(angle) * second, -np.sin(angle) * first + np.cos(angle) * second
     models = [DeltaConv(body, net, inputs, options, frames) for frames in (None, np.stack(across, axis=1))]
-    impulses = torch.as_tensor(inputs(body, blows))
+    impulses = torch.as_tensor(inputs(body, impacts))
     for training in (True, False):
         net.train(training)
         one, other = (model.field(impulses).detach().numpy() for model in models)
@@ -335,19 +335,19 @@ def test_more_neighbours_than_vertices_are_refused(told):
 
 def test_a_training_impulse_gets_its_own_fracture(told, fitted):
     body, samples = told
-    train = samples.part(0)
+    train = samples.of_split(0)
     model = fitted["nearest"]
-    np.testing.assert_array_equal(model.predict_labels(train.blows), train.labels)
-    np.testing.assert_array_equal(model.predict(train.blows), body.fields(train.labels))
-    np.testing.assert_array_equal(model.predict_nodes(train.blows), body.fields(train.labels, nodes=True))
+    np.testing.assert_array_equal(model.predict_labels(train.impacts), train.labels)
+    np.testing.assert_array_equal(model.predict(train.impacts), body.fields(train.labels))
+    np.testing.assert_array_equal(model.predict_nodes(train.impacts), body.fields(train.labels, nodes=True))
 
 
 def test_its_weights_are_the_best_of_the_grid_on_validation_impulses(told, fitted):
     body, samples = told
-    judges = samples.part(1).rows(np.flatnonzero(samples.part(1).labels.any(axis=1))[:300])
+    judges = samples.of_split(1).take(np.flatnonzero(samples.of_split(1).labels.any(axis=1))[:300])
 
     def score(model):
-        pairs = zip(judges.labels, model.predict_labels(judges.blows), strict=True)
+        pairs = zip(judges.labels, model.predict_labels(judges.impacts), strict=True)
         return np.mean([ari(a[body.vertex_atom], b[body.vertex_atom]) for a, b in pairs])
 
     fixed = [Nearest.fit(body, samples, NearestOptions(a, b), 0)[0] for a in (2.0, 4.0, 8.0) for b in (0.3, 0.7, 1.5)]
@@ -358,4 +358,4 @@ def test_its_file_is_compact(told, fitted):
     _, samples = told
     arrays, _ = fitted["nearest"].state()
     assert arrays["fractures"].dtype == np.uint8
-    assert len(arrays["fractures"]) < len(samples.part(0)) == len(arrays["keys"])
+    assert len(arrays["fractures"]) < len(samples.of_split(0)) == len(arrays["keys"])

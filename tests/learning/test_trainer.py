@@ -332,8 +332,8 @@ def test_the_command_trains_saves_and_says_how_well(torus_dataset, tmp_path, cap
     model, metadata = load_model(tmp_path / "m.safetensors", body)
     assert metadata == figures
     assert figures["training"]["steps"] == 60
-    held_out = samples.part(1).rows(slice(200))
-    error = amae(body.fields(held_out.labels), model.predict(held_out.blows))
+    held_out = samples.of_split(1).take(slice(200))
+    error = amae(body.fields(held_out.labels), model.predict(held_out.impacts))
     assert error == pytest.approx(figures["validation"]["amae"])
     assert any((tmp_path / "log").iterdir())
 

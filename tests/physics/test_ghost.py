@@ -35,7 +35,7 @@ def boxes(cells, density=2400.0):
     parts = ConvexParts.of([CUBE * (size - 2 * gap) + start + gap for size, start in zip(extent, low, strict=True)])
     return SimpleNamespace(
         vertices=CUBE * (high.max(axis=0) - low.min(axis=0)) + low.min(axis=0), faces=CUBE_FACES, mass=masses.sum(),
-        center_of_mass=center, inertia=inertia, parts=parts, atoms=np.arange(1),
+        center_of_mass=center, inertia=inertia, convex_parts=parts, atoms=np.arange(1),
     )  # fmt: skip
 
 
@@ -119,21 +119,21 @@ def test_a_tower_that_topples_gains_no_energy(client):
 
 
 @pytest.fixture(scope="module")
-def blows(shipped):
+def impacts(shipped):
     """Impulses, and how many pieces each leaves."""
     impulses = shipped.sample_impulses(60, 9)
     return impulses, np.array([len(shipped.fracture(one).pieces) for one in impulses])
 
 
 @pytest.mark.parametrize("size", [0.01, 0.3, 30.0])
-def test_whatever_breaks_at_rest_stays_at_rest(client, shipped, blows, size):
-    impulses, counts = blows
+def test_whatever_breaks_at_rest_stays_at_rest(client, shipped, impacts, size):
+    impulses, counts = impacts
     order = np.argsort(counts)[np.count_nonzero(counts == 1) :]
     for k in (order[0], order[len(order) // 2], order[-1]):  # from two pieces to shattered
         p.resetSimulation(physicsClientId=client)
         world = fracsim.World(client)
-        blow = impulses[k]
-        scaled = fracsim.Impulse(blow.point * size, blow.direction, blow.magnitude * size**3)
+        impact = impulses[k]
+        scaled = fracsim.Impulse(impact.point * size, impact.direction, impact.magnitude * size**3)
         event = world.fracture(world.add(shipped.scaled(size)), scaled)
         assert len(event.children) == counts[k]
         for _ in range(240):

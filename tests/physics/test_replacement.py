@@ -1,4 +1,4 @@
-"""The swap in the solver: the blow is counted once, whoever takes part in it, and energy is only ever lost."""
+"""The swap in the solver: the impact is counted once, whoever takes part in it, and energy is only ever lost."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def until_broken(world, seconds=1.0):
     raise AssertionError("nothing broke")
 
 
-# --- the blow, relived
+# --- the impact, relived
 
 
 @pytest.mark.parametrize(("rate", "speed"), [(120, 10.0), (240, 10.0), (240, 40.0), (1000, 100.0)])
@@ -62,7 +62,7 @@ def test_pieces_and_projectile_keep_their_momentum_and_gain_no_energy(client, sh
     assert events[0].children
 
 
-def test_the_state_right_after_a_break_is_the_one_before_the_blow(client):
+def test_the_state_right_after_a_break_is_the_one_before_the_impact(client):
     world = fracsim.World(client)
     body = free(world, SlabBox(), (-0.5, -0.5, -0.5), linear_velocity=(0.5, 0.0, 0.1), angular_velocity=(0.1, 0.2, 0.3))
     shot = ball(client, 2.0, 0.1, (-1, 0.1, 0.05), (10, 0, 0))
@@ -76,7 +76,7 @@ def test_the_state_right_after_a_break_is_the_one_before_the_blow(client):
             np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-9)
 
 
-def test_the_piece_that_is_hit_takes_the_blow(client):
+def test_the_piece_that_is_hit_takes_the_impact(client):
     world = fracsim.World(client)
     free(world, SlabBox(), (-0.5, -0.5, -0.5))
     ball(client, 2.0, 0.1, (-1, 0.1, 0.05), (10, 0, 0))

@@ -1,4 +1,4 @@
-"""The shipped assets in the engine: they break, keep what they carried, and do not blow up."""
+"""The shipped assets in the engine: they break, keep what they carried, and do not impact up."""
 
 from __future__ import annotations
 

@@ -302,9 +302,9 @@ def test_midpoints_follow_the_list_of_edges_of_the_mesh(ball):
 
 def test_the_flood_passes_where_two_of_a_border_stand_above_it():
     udf = np.array([0.0, 0.05, 0.05, 0.02])
-    shores = np.array([[0, 1, 2, 3], [0, 1, 3, 3], [1, 2, 1, 2]])
+    interface_vertices = np.array([[0, 1, 2, 3], [0, 1, 3, 3], [1, 2, 1, 2]])
     own = np.array([[0.0] * 4, [0.0] * 4, [0.05] * 4])
-    np.testing.assert_array_equal(flooded_passes(udf, shores, own, 0.03), [True, False, False])
+    np.testing.assert_array_equal(flooded_passes(udf, interface_vertices, own, 0.03), [True, False, False])
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Elastic blows: bars with known answers, balance, reciprocity, and the generator built on them."""
+"""Elastic impacts: bars with known answers, balance, reciprocity, and the simulator built on them."""
 
 from __future__ import annotations
 
@@ -190,29 +190,31 @@ def elastic(modal):
 
 
 def test_the_gauge_makes_the_median_thresholds_agree(modal, elastic):
-    blows = single_impacts(modal.surface, 2000, np.random.default_rng(0))
-    assert np.median(elastic.thresholds(blows)) == pytest.approx(np.median(modal.thresholds(blows)))
+    impacts = single_impacts(modal.surface, 2000, np.random.default_rng(0))
+    assert np.median(elastic.thresholds(impacts)) == pytest.approx(np.median(modal.thresholds(impacts)))
 
 
 def test_a_blow_parts_the_elastic_body_from_its_threshold_on(elastic):
-    blows = single_impacts(elastic.surface, 50, np.random.default_rng(1))
-    critical = elastic.thresholds(blows)
-    assert (elastic.fracture(blows.times(0.999 * critical)).labels == 0).all()
-    above = elastic.fracture(blows.times(1.001 * critical))
+    impacts = single_impacts(elastic.surface, 50, np.random.default_rng(1))
+    critical = elastic.thresholds(impacts)
+    assert (elastic.fracture(impacts.times(0.999 * critical)).labels == 0).all()
+    above = elastic.fracture(impacts.times(1.001 * critical))
     assert above.broken.any(axis=1).all()
-    assert elastic.drives(blows.times(critical)).max(axis=1) == pytest.approx(critical * elastic.drives(blows).max(1))
+    assert elastic.drives(impacts.times(critical)).max(axis=1) == pytest.approx(
+        critical * elastic.drives(impacts).max(1)
+    )
 
 
 def test_contacts_lie_between_vertices_and_add_up(elastic):
     normal, faces = elastic.interfaces.normals, elastic.surface.faces
     share, push = np.array([0.2, 0.3, 0.5]), np.array([[0.0, 0.6, -0.8], [1.0, 0.0, 0.0]])
-    blow = Impacts(np.array([[7, 40]]), np.tile(share, (1, 2, 1)), push[None], np.array([[2.0, 0.5]]))
+    impact = Impacts(np.array([[7, 40]]), np.tile(share, (1, 2, 1)), push[None], np.array([[2.0, 0.5]]))
     expected = sum(
         strength * np.einsum("c,cjik,j->ik", share, elastic.rows[faces[face]], d)
         for face, d, strength in zip((7, 40), push, (2.0, 0.5), strict=True)
     )
-    np.testing.assert_allclose(elastic.tractions(blow)[0], expected, atol=1e-12 * np.abs(expected).max())
-    np.testing.assert_allclose(elastic.drives(blow), effective_opening(expected[None], normal))
+    np.testing.assert_allclose(elastic.tractions(impact)[0], expected, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(elastic.drives(impact), effective_opening(expected[None], normal))
 
 
 def test_thin_bodies_get_smaller_tetrahedra(modal):

@@ -1,4 +1,4 @@
-"""The truths behind the door: what they owe their frame, their blows, and those who build on them."""
+"""The truths behind the door: what they owe their frame, their impacts, and those who build on them."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def wedge():
 def body():
     surface = refine(read_surface(wedge()))
     cells = cut_lattice(surface, 600, np.random.default_rng(0))
-    generator = modal_from_solid(surface, cells, fracture_modes(cells, 4), 1e-3)
-    blows, _ = draw_impacts(surface, 200, np.random.default_rng(1))
+    simulator = modal_from_solid(surface, cells, fracture_modes(cells, 4), 1e-3)
+    impacts, _ = draw_impacts(surface, 200, np.random.default_rng(1))
     ratio = np.exp(np.random.default_rng(2).uniform(np.log(0.3), np.log(5), 200))
-    return surface, cells, generator, blows.times(ratio * generator.thresholds(blows))
+    return surface, cells, simulator, impacts.times(ratio * simulator.thresholds(impacts))
 
 
 def moved(surface, cells, rotation, shift, order, triangle_order):
@@ -61,36 +61,36 @@ def moved(surface, cells, rotation, shift, order, triangle_order):
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_moving_turning_and_renumbering_the_solid_changes_nothing_but_the_frame(body, seed):
-    surface, cells, generator, blows = body
+    surface, cells, simulator, impacts = body
     rng = np.random.default_rng(seed)
     rotation, shift = Rotation.random(random_state=seed % 2**31), rng.standard_normal(3)
     order, triangles = rng.permutation(len(cells.volumes)), rng.permutation(len(cells.triangles))
     other_surface, other_cells = moved(surface, cells, rotation, shift, order, triangles)
     other = modal_from_solid(other_surface, other_cells, fracture_modes(other_cells, 4), 1e-3)
     # The same atoms, by another number: a one-to-one map.
-    pairs = np.unique(np.stack([generator.atom[order], other.atom]), axis=1)
-    assert pairs.shape[1] == len(generator.parts.volumes) == len(other.parts.volumes)
+    pairs = np.unique(np.stack([simulator.fine_to_cell[order], other.fine_to_cell]), axis=1)
+    assert pairs.shape[1] == len(simulator.cells.volumes) == len(other.cells.volumes)
     number = pairs[1]
-    np.testing.assert_allclose(other.rows[:, number], generator.rows, rtol=1e-8, atol=1e-9)
-    directions = rotation.apply(blows.directions.reshape(-1, 3)).reshape(blows.directions.shape)
-    turned = replace(blows, directions=directions)
-    np.testing.assert_allclose(other.thresholds(turned), generator.thresholds(blows), rtol=1e-7)
-    mine, theirs = generator.fracture(blows).labels, other.fracture(turned).labels[:, number]
-    ends = generator.interfaces.pairs
+    np.testing.assert_allclose(other.rows[:, number], simulator.impact_field, rtol=1e-8, atol=1e-9)
+    directions = rotation.apply(impacts.directions.reshape(-1, 3)).reshape(impacts.directions.shape)
+    turned = replace(impacts, directions=directions)
+    np.testing.assert_allclose(other.thresholds(turned), simulator.thresholds(impacts), rtol=1e-7)
+    mine, theirs = simulator.fracture(impacts).labels, other.fracture(turned).labels[:, number]
+    ends = simulator.interfaces.pairs
     np.testing.assert_array_equal(separated(mine, ends), separated(theirs, ends))
 
 
 @pytest.mark.parametrize("scale", [2.0**-9, 8.0])
 def test_the_size_of_the_mesh_changes_nothing(body, scale):
-    _, _, generator, blows = body
+    _, _, simulator, impacts = body
     mesh = wedge()
     mesh.apply_scale(scale)  # by powers of two, which do not round
     surface = refine(read_surface(mesh))
     assert surface.scale == scale
     cells = cut_lattice(surface, 600, np.random.default_rng(0))
     other = modal_from_solid(surface, cells, fracture_modes(cells, 4), 1e-3)
-    np.testing.assert_array_equal(other.atom, generator.atom)
-    np.testing.assert_array_equal(other.thresholds(blows), generator.thresholds(blows))
+    np.testing.assert_array_equal(other.fine_to_cell, simulator.fine_to_cell)
+    np.testing.assert_array_equal(other.thresholds(impacts), simulator.thresholds(impacts))
 
 
 def test_the_size_of_the_solid_changes_no_mode(body):
@@ -107,15 +107,17 @@ def test_through_another_lattice_pieces_are_as_many_and_break_as_often():
     surface = refine(read_surface(trimesh.creation.box((1.0, 0.6, 0.5))))
     severe = 6.0
     counts = []
-    blows, kind = draw_impacts(surface, 1500, np.random.default_rng(9))
+    impacts, kind = draw_impacts(surface, 1500, np.random.default_rng(9))
     single = kind == 0
-    blows = Impacts(*(getattr(blows, name)[single] for name in ("faces", "barycentric", "directions", "severities")))
+    impacts = Impacts(
+        *(getattr(impacts, name)[single] for name in ("faces", "barycentric", "directions", "severities"))
+    )
     for seed in range(8):
-        generator = make_simulator(surface, SimulatorOptions(cells=800, modes=6), seed)
-        labels = generator.fracture(blows.times(np.full(len(blows), severe))).labels
+        simulator = make_simulator(surface, SimulatorOptions(cells=800, modes=6), seed)
+        labels = simulator.fracture(impacts.times(np.full(len(impacts), severe))).labels
         counts.append(labels.max(axis=1) + 1)
     one, other = np.concatenate(counts[::2]), np.concatenate(counts[1::2])
-    # Lattices, not blows, are what is sampled here: eight of them, which must not be far apart to begin with.
+    # Lattices, not impacts, are what is sampled here: eight of them, which must not be far apart to begin with.
     averages = np.array([count.mean() for count in counts])
     assert averages.max() < 2 * averages.min()
     broke = np.array([(count > 1).mean() for count in counts])
@@ -132,17 +134,17 @@ def test_through_another_lattice_pieces_are_as_many_and_break_as_often():
 @pytest.fixture(scope="module")
 def radial():
     surface = refine(read_surface(trimesh.creation.box((1.0, 0.6, 0.3))))
-    return make_simulator(surface, SimulatorOptions(truth="radial", cells=900), 0)
+    return make_simulator(surface, SimulatorOptions(name="radial", cells=900), 0)
 
 
 def test_radial_cracks_break_from_their_threshold_on_into_connected_pieces(radial):
     drawn = sample(radial, 400, 0)
     np.testing.assert_array_equal(drawn.labels.any(axis=1), drawn.ratio >= 1)
     assert drawn.broken.shape == (400, 0)
-    volumes, pairs = radial.parts.volumes, radial.interfaces.pairs
+    volumes, pairs = radial.cells.volumes, radial.interfaces.pairs
     for labels in drawn.labels[drawn.labels.any(axis=1)][:40]:
         share = np.bincount(labels, volumes) / volumes.sum()
-        assert share.min() >= radial.crumb_floor
+        assert share.min() >= radial.min_piece_volume_fraction
         for piece in range(labels.max() + 1):
             inside = (labels[pairs] == piece).all(axis=1)
             reached, grown = np.flatnonzero(labels == piece)[:1], -1
@@ -156,14 +158,14 @@ def test_radial_cracks_break_from_their_threshold_on_into_connected_pieces(radia
 def test_radial_cracks_start_where_the_body_is_struck_and_run_further_the_harder(radial):
     points = radial.surface.trimesh
     face = int(np.argmax(points.triangles_center @ [0, 0, 1] - np.abs(points.triangles_center[:, 0])))
-    blow = Impacts(
+    impact = Impacts(
         np.full((2, 1), face), np.full((2, 1, 3), 1 / 3), np.tile([[[0.0, 0.0, -1.0]]], (2, 1, 1)), np.ones((2, 1))
     )
-    factor = radial.thresholds(blow) * np.array([1.01, 3.0])
-    labels = radial.fracture(blow.times(factor)).labels
+    factor = radial.thresholds(impact) * np.array([1.01, 3.0])
+    labels = radial.fracture(impact.times(factor)).labels
     where = points.triangles_center[face]
     parted = separated(labels, radial.interfaces.pairs)
-    middle = radial.parts.centroids[radial.interfaces.pairs].mean(axis=1)
+    middle = radial.cells.centroids[radial.interfaces.pairs].mean(axis=1)
     reach = [np.linalg.norm(middle[row] - where, axis=1) for row in parted]
     assert reach[0].min() < 0.15
     assert reach[0].max() < 0.4 < reach[1].max()
@@ -173,14 +175,14 @@ def test_radial_cracks_start_where_the_body_is_struck_and_run_further_the_harder
 def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
     built = atoms_for(radial, observe_fractures(radial, 0), 1e-3)
     assert not built.own
-    assert 20 < len(built.parts.volumes) <= 150
-    assert built.parts.volumes.sum() == pytest.approx(radial.parts.volumes.sum(), rel=1e-12)
+    assert 20 < len(built.cells.volumes) <= 150
+    assert built.cells.volumes.sum() == pytest.approx(radial.cells.volumes.sum(), rel=1e-12)
     drawn = sample(radial, 400, 1)
     projected = built.project(drawn)
-    assert projected.labels.shape == (400, len(built.parts.volumes))
+    assert projected.labels.shape == (400, len(built.cells.volumes))
     np.testing.assert_array_equal(projected.broken, separated(projected.labels, built.interfaces.pairs))
     count = len(radial.surface.vertices)
-    free, blocks = surface_cells(radial.parts, count), surface_cells(built.parts, count)
+    free, blocks = surface_cells(radial.cells, count), surface_cells(built.cells, count)
     broke = drawn.labels.any(axis=1)
     scores = [
         fracsim.metrics.ari(a[free], b[blocks])

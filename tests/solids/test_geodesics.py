@@ -10,7 +10,14 @@ import trimesh
 
 from fracsim.simulators.base import interfaces_between
 from fracsim.solids.cut import cut_lattice
-from fracsim.solids.geodesics import CAP, SHORE, CurveDistances, crack_segments, interface_distances, split_in_four
+from fracsim.solids.geodesics import (
+    CAP,
+    VERTICES_PER_INTERFACE,
+    CurveDistances,
+    crack_segments,
+    interface_distances,
+    split_in_four,
+)
 from fracsim.solids.polygons import coarsen
 from fracsim.solids.solid import merge_small_regions, relabel, shared_faces, surface_cells
 from fracsim.solids.surface import Surface, read_surface, refine
@@ -180,7 +187,7 @@ def test_the_numbering_of_vertices_faces_and_parts_does_not_matter(crumbled):
 def test_the_least_distance_to_the_parting_interfaces_is_the_distance_to_the_cracks(crumbled):
     surface, solid, curves = crumbled
     pairs = interfaces_between(solid).pairs
-    distances, shores = interface_distances(curves, pairs)
+    distances, interface_vertices = interface_distances(curves, pairs)
     assert distances.shape == (len(pairs), len(curves.nodes))
     for seed in range(5):
         labels = np.random.default_rng(seed).integers(0, 3, len(solid.volumes))
@@ -191,9 +198,9 @@ def test_the_least_distance_to_the_parting_interfaces_is_the_distance_to_the_cra
             assert gap[where].max() < 0.01
         assert (curves.between(labels) - distances[parting].min(axis=0)).max() < 2e-3  # more cracks are no further
     # Shores are vertices of the faces that the interface's curve crosses; none where it stays inside.
-    for pair, shore in zip(pairs, shores, strict=True):
+    for pair, shore in zip(pairs, interface_vertices, strict=True):
         crossed = curves.faces[(curves.parts == pair).all(axis=1)]
-        assert len(shore) == SHORE
+        assert len(shore) == VERTICES_PER_INTERFACE
         assert np.isin(shore, surface.faces[crossed]).all() if len(crossed) else (shore == -1).all()
 
 

@@ -15,7 +15,7 @@ from fracsim.study.plan import read_plan
 ROOT = Path(__file__).parents[2]
 PLAN = """
 seed = 1
-truth = { cells = 600, modes = 4 }
+simulator = { cells = 600, modes = 4 }
 
 [[meshes]]
 name = "torus"
@@ -27,11 +27,11 @@ timed = 1
 
 [[models]]
 name = "true field"
-kind = "truth"
+kind = "simulator"
 
 [[models]]
-name = "generator, precomputed"
-kind = "modes"
+name = "simulator, precomputed"
+kind = "precomputed"
 
 [[models]]
 name = "nearest impulse"
@@ -94,7 +94,7 @@ def test_rows_are_as_good_as_they_must_be(planned):
     rows = {(row["model"], row["segmentation"]): row for row in found["rows"]}
     assert rows["true field", "atoms"]["ari"] > 0.95
     assert rows["true field", "atoms"]["amae"] == 0
-    exact = rows["generator, precomputed", "none: labels"]
+    exact = rows["simulator, precomputed", "none: labels"]
     assert exact["ari"] == 1.0
     assert exact["accepted"] == 1.0
     assert exact["breaks"]["balanced_accuracy"] == 1.0
@@ -133,7 +133,7 @@ def test_bad_plans_are_refused_by_name(tmp_path, capsys):
         (PLAN.replace('kind = "mlp"', 'kind = "oracle"'), "unknown kind 'oracle'"),
         (PLAN.replace("slow = 2", "swift = 4"), "swift"),
         (PLAN.replace('name = "true field"', 'name = "MLP 704x7"'), "a name of its own"),
-        (PLAN.replace('kind = "truth"', 'kind = "truth"\nmeshes = ["cube"]'), "no mesh 'cube'"),
+        (PLAN.replace('kind = "simulator"', 'kind = "simulator"\nmeshes = ["cube"]'), "no mesh 'cube'"),
     ):
         path.write_text(text)
         assert main(["evaluate", str(path), "--out", str(tmp_path / "out")]) == 2

@@ -45,7 +45,7 @@ class FakeOptions:
 
 
 class Fake:
-    """Answers with the truth, which it finds by its blows, and an error of 0.1 / size."""
+    """Answers with the truth, which it finds by its impacts, and an error of 0.1 / size."""
 
     options_type = FakeOptions
     fitted: ClassVar[list[types.SimpleNamespace]] = []
@@ -54,7 +54,7 @@ class Fake:
     def __init__(self, body, samples, options):
         self.body, self.options = body, options
         truth = body.fields(samples.labels)
-        self.known = {row.tobytes(): field for row, field in zip(samples.blows.severities, truth, strict=True)}
+        self.known = {row.tobytes(): field for row, field in zip(samples.impacts.severities, truth, strict=True)}
 
     @classmethod
     def fit(cls, body, samples, options, seed, run):
@@ -65,9 +65,9 @@ class Fake:
         run.progress(1.0)
         return cls(body, samples, options), {}
 
-    def predict(self, blows):
+    def predict(self, impacts):
         time.sleep(self.options.cost)
-        fields = np.array([self.known[row.tobytes()] for row in blows.severities])
+        fields = np.array([self.known[row.tobytes()] for row in impacts.severities])
         return np.full_like(fields, np.nan) if self.options.size == 13 else fields + np.float32(0.1 / self.options.size)
 
 
@@ -93,7 +93,7 @@ def fake(monkeypatch):
 def told(torus_dataset):
     with Dataset(torus_dataset) as dataset:
         body, samples = BodyGeometry.read(dataset)
-    return body, samples.rows(slice(200))
+    return body, samples.take(slice(200))
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_folds_never_hold_a_test_sample_and_validate_each_other_one_once(told):
     seen = []
     for fold in range(FOLDS):
         part = fold_of(samples, fold)
-        train, validation = (part.part(k).severities.sum(axis=1) for k in (0, 1))
+        train, validation = (part.of_split(k).severities.sum(axis=1) for k in (0, 1))
         assert len(train) + len(validation) == len(part) == (samples.fold >= 0).sum()
         assert test.isdisjoint(train)
         assert test.isdisjoint(validation)
@@ -135,8 +135,8 @@ def test_a_trial_is_the_mean_over_its_folds_and_the_median_of_single_queries(tol
     assert [f.seed for f in Fake.fitted] == [0, 0]
     for k, (fit, error) in enumerate(zip(Fake.fitted, trial["folds"], strict=True)):
         assert fit.options == FakeOptions(**trial["parameters"])
-        held_out = samples.rows(samples.fold == k)
-        np.testing.assert_array_equal(fit.samples.part(1).severities, held_out.severities)
+        held_out = samples.take(samples.fold == k)
+        np.testing.assert_array_equal(fit.samples.of_split(1).severities, held_out.severities)
         truth = body.fields(held_out.labels)
         assert error == pytest.approx(amae(truth, truth + np.float32(0.1 / fit.options.size)), rel=1e-5)
     assert trial["amae"] == pytest.approx(np.mean(trial["folds"]))
@@ -252,7 +252,7 @@ def test_every_space_fits_the_options_of_its_model():
 def test_an_empty_fold_is_refused_before_anything_is_fitted(told, study):
     body, samples = told
     with pytest.raises(ModelError, match="fold 0 is empty"):
-        go((body, samples.rows(samples.fold != 0)), study, 1)
+        go((body, samples.take(samples.fold != 0)), study, 1)
     assert not Fake.fitted
     assert not study.trials
 
@@ -321,7 +321,7 @@ test_tune.go(told, open_study(sys.argv[3], "s", test_tune.slow(float(sys.argv[5]
 def read(path):
     with Dataset(path) as dataset:
         body, samples = BodyGeometry.read(dataset)
-    return body, samples.rows(slice(200))
+    return body, samples.take(slice(200))
 
 
 def slow(wait):

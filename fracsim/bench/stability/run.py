@@ -1,7 +1,7 @@
 """The stress matrix: what a break must keep, checked wherever somebody might break something.
 
 A cell is one small scene: bodies, and what meets them how. It is played twice, first as a twin whose bodies cannot
-break, then with bodies whose strength is set so that the blow the twin took is `severity` times what just breaks them.
+break, then with bodies whose strength is set so that the impact the twin took is `severity` times what just breaks them.
 What the twin violates too is the engine's doing; a cell fails only by what breaking adds.
 """
 
@@ -93,14 +93,14 @@ def _play(cell: Cell, strengths: Sequence[float] | None) -> tuple[dict[str, Any]
 
 
 def _strengths(stage: Stage) -> list[float]:
-    """Pa, for each body: the blow that it took is `severity` times what just breaks it."""
+    """Pa, for each body: the impact that it took is `severity` times what just breaks it."""
     nominal = asset_named(stage.cell.mesh).material.tensile_strength
     asset = asset_named(stage.cell.mesh).scaled(stage.cell.size / asset_named(stage.cell.mesh).size)
     found: list[float | None] = []
     for body in stage.bodies:
-        blows = stage.blows.get(body)
-        if blows:
-            hardest = max(blows.values(), key=lambda hits: sum(hit.magnitude for hit in hits))
+        impacts = stage.impacts.get(body)
+        if impacts:
+            hardest = max(impacts.values(), key=lambda hits: sum(hit.magnitude for hit in hits))
             found.append(nominal * _overload(asset, hardest) / stage.cell.severity)
         else:
             found.append(None)
@@ -118,8 +118,8 @@ def _overload(asset: BreakableAsset, hits: Sequence[Impulse]) -> float:
         return 1.0
 
     def breaks(severity: float) -> bool:
-        blows = [Impulse(hit.point, hit.direction, hit.magnitude * severity / unit) for hit in hits]
-        return asset.may_break(blows) and asset.fracture(blows).broken
+        impacts = [Impulse(hit.point, hit.direction, hit.magnitude * severity / unit) for hit in hits]
+        return asset.may_break(impacts) and asset.fracture(impacts).broken
 
     for _ in range(5):
         middle = float(np.sqrt(low * high))

@@ -202,11 +202,11 @@ def _nested(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
     # The bystander is far away, or close enough to be in the same heap of contacts.
     apart = 1.5 if cell.variant == 2 else 4.0
     bystander = stage.breakable(np.array([apart * cell.size, 0.0, 0.0]), UPRIGHT)
-    blow = _firm(cell, bystander, stage)
+    impact = _firm(cell, bystander, stage)
 
     def command(hit: ContactImpulse) -> None:
         if hit.body == body and bystander in stage.world.bodies:
-            event = stage.world.fracture(bystander, blow)
+            event = stage.world.fracture(bystander, impact)
             stage.events += [event] if event.children else []
 
     stage.world.on_contact(command)
@@ -334,11 +334,11 @@ def _rest(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
         place = np.array([0.0, 0.0, 1e-3 * cell.size - low])
         _, axes = p.getBasePositionAndOrientation(body, physicsClientId=stage.client)
         p.resetBasePositionAndOrientation(body, place.tolist(), axes, physicsClientId=stage.client)
-    blow = _firm(cell, body, stage)
+    impact = _firm(cell, body, stage)
 
     def command(index: int) -> None:
         if index == APPROACH and body in stage.world.bodies:
-            event = stage.world.fracture(body, blow)
+            event = stage.world.fracture(body, impact)
             stage.events += [event] if event.children else []
 
     stage.before.append(command)
@@ -346,10 +346,10 @@ def _rest(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
 
 
 def _firm(cell: Cell, body: int, stage: Stage) -> Impulse:
-    """A blow on command, in the twin as in the scene, that breaks the object as it is made."""
+    """An impact on command, in the twin as in the scene, that breaks the object as it is made."""
     asset = asset_named(cell.mesh).scaled(cell.size / asset_named(cell.mesh).size)
-    [blow] = asset.sample_impulses(1, cell.seed)
-    return Impulse(blow.point, blow.direction, 10.0 * asset.mass * asset.material.breaking_velocity)
+    [impact] = asset.sample_impulses(1, cell.seed)
+    return Impulse(impact.point, impact.direction, 10.0 * asset.mass * asset.material.breaking_velocity)
 
 
 FAMILIES: dict[str, tuple[Callable[[Stage, Cell, np.random.Generator], None], int]] = {  # with the number of variants

@@ -46,7 +46,7 @@ class Cell:
     """One scene, to the last random draw: ``run(Cell(**row["cell"]))`` plays it again.
 
     family: a key of FAMILIES. time_step: s. speed: m/s, at which things meet. density_ratio: of what is thrown, over
-    the breakable's. size: m. breakables: how many. other: "ball", "box" or "floor". severity: of the blow, over what
+    the breakable's. size: m. breakables: how many. other: "ball", "box" or "floor". severity: of the impact, over what
     just breaks the body. variant: which of the family's scenes.
     """
 
@@ -105,7 +105,7 @@ class Stage:
         self.world = World(self.client)
         self.world.on_contact(self._feel)
         self.step = 0
-        self.blows: dict[int, dict[int, list[Impulse]]] = {}  # body -> step -> the hits, which act together
+        self.impacts: dict[int, dict[int, list[Impulse]]] = {}  # body -> step -> the hits, which act together
         self.events: list[FractureEvent] = []
         self.worst = {"mass": 0.0, "momentum": 0.0, "energy": 0.0, "speed": 0.0, "angular": 0.0}
         self.broken: dict[str, str] = {}  # claims that have no residual, and what was found
@@ -235,7 +235,7 @@ class Stage:
         return min((point[8] for point in points), default=reach)
 
     def _feel(self, hit: ContactImpulse) -> None:
-        self.blows.setdefault(hit.body, {}).setdefault(self.step, []).append(hit.impulse)
+        self.impacts.setdefault(hit.body, {}).setdefault(self.step, []).append(hit.impulse)
 
     # Playing it
 
