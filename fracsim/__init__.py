@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .physics.world import World
     from .segmentation import segment
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _LAZY = {
     "BreakableAsset": "fracture.asset",

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from . import __version__
 from .common.errors import BakeError, MissingExtraError
 from .common.material import Material, as_material
 from .common.progress import Stages
@@ -145,7 +145,7 @@ def bake(
             test["ari_of_the_atoms"] = _atoms_ari(truth, atoms, watched[0])
     asset.metadata.update(
         {
-            "fracsim": version("fracsim"),
+            "fracsim": __version__,
             "seed": seed,
             "options": asdict(options),
             "simulator": kind,

@@ -10,9 +10,11 @@ import os
 import platform
 from collections.abc import Callable
 from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+from .. import __version__
 
 NAMES = ("latency", "idle", "decomposition", "timestep", "stability", "soak")
 
@@ -27,8 +29,8 @@ def run(name: str, quick: bool, seed: int, out: Path | None, progress: Callable[
             "load": os.getloadavg(),  # before: what else was running
             "python": platform.python_version(),
             "numpy": version("numpy"),
-            "pybullet": version("pybullet"),
-            "fracsim": version("fracsim"),
+            "pybullet": _pybullet_version(),
+            "fracsim": __version__,
         },
     }
     figures |= module.measure(quick, seed, progress)
@@ -43,3 +45,11 @@ def run(name: str, quick: bool, seed: int, out: Path | None, progress: Callable[
         write_beside(out / f"runtime_{name}.md", (figures["table"] + "\n").encode())
         module.draw(figures, out / f"runtime_{name}.png")
     return figures
+
+
+def _pybullet_version() -> str:
+    """Return the version of PyBullet, or of the fork that stands in for it from Python 3.12 on."""
+    try:
+        return version("pybullet")
+    except PackageNotFoundError:
+        return f"{version('pybullet-arm64')} (pybullet-arm64)"

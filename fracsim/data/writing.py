@@ -9,13 +9,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .. import __version__
 from ..common.errors import DatasetError, MissingExtraError
 from ..common.progress import Stages
 from ..geometry.sampling import CONE, SEVERITY
@@ -218,7 +218,7 @@ def _create(
     impacts, _ = draw_impacts(surface, 4, np.random.default_rng(0))
     told = checked(simulator, impacts, simulator.thresholds(impacts), simulator.fracture(impacts)).broken
     header = {
-        "fracsim": version("fracsim"),
+        "fracsim": __version__,
         "seed": seed,
         "simulator": made_by,
         "sampling": sampling_rules(),
