@@ -12,7 +12,7 @@ from typing import Any
 from .bullet import Engine
 from .impacts import is_slow
 from .records import BodyRecord
-from .states import BodyContacts, BodyNotFound, Motion, State, Triple
+from .states import BodyContacts, BodyNotFound, BodyState, Motion, Triple
 
 CALM = 12  # steps that a body has to be slow for before it counts as asleep
 AHEAD = 12  # steps that a body in free flight is left alone for, at most
@@ -28,10 +28,10 @@ class Activity:
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         self.records: dict[int, BodyRecord] = {}
-        self.own: dict[int, str] = {}  # every body that the world made, breakable or not, and its mark
-        self.loose: set[int] = set()  # those of them that move and are not watched
-        self.contacts: dict[int, BodyContacts | None] = {}  # asked for since the last step
-        self.loaded = False  # whether anything is pressed
+        self.tokens: dict[int, str] = {}  # every body that the world made, breakable or not, and its mark
+        self.unwatched_movers: set[int] = set()  # those of them that move and are not watched
+        self.contact_cache: dict[int, BodyContacts | None] = {}  # asked for since the last step
+        self.any_pressed = False  # whether anything is pressed
         self._awake: list[BodyRecord] = []
         self._left: list[BodyRecord] = []
         self._flying: list[BodyRecord] = []  # of these
@@ -59,10 +59,10 @@ class Activity:
     def add(self, record: BodyRecord) -> None:
         self.records[record.body.id] = record
         self._awake.append(record)
-        self.own[record.body.id] = record.body.token
+        self.tokens[record.body.id] = record.body.token
         self._refresh(record)
 
-    def drop(self, body: int) -> None:
+    def forget(self, body: int) -> None:
         """Watch it no more; it may be gone."""
         record = self.records.pop(body, None)
         if record is not None:
@@ -70,8 +70,8 @@ class Activity:
                 if record in some:
                     some.remove(record)
             self._box = None
-        self.contacts.pop(body, None)
-        self.loose.discard(body)
+        self.contact_cache.pop(body, None)
+        self.unwatched_movers.discard(body)
 
     def wake(self, record: BodyRecord, look: bool = False) -> None:
         """Look at a body every step, from what the engine says of it now; in the next one whatever it does."""
@@ -80,11 +80,11 @@ class Activity:
             self._awake.append(record)
         if record in self._flying:
             self._flying.remove(record)
-        record.calm = record.pressed = 0
+        record.slow_steps = record.pressed_steps = 0
         try:
             self._refresh(record)
         except BodyNotFound:
-            self.drop(record.body.id)
+            self.forget(record.body.id)
             return
         if look:
             self._called.append(record)
@@ -96,36 +96,36 @@ class Activity:
 
     def _refresh(self, record: BodyRecord) -> None:
         record.motion = self.engine.motion(record.body.id)
-        record.before = None
+        record.motion_before = None
         record.center = list(self.engine.placement(record.body.id)[0])
-        record.until, record.asleep = 0, False
-        record.slack = -1.0
+        record.unobserved_until, record.asleep = 0, False
+        record.box_slack = -1.0
 
     # After a step
 
-    def look(self, dt: float, gravity: Triple, least: float) -> list[BodyRecord]:
+    def observe_step(self, dt: float, gravity: Triple, least: float) -> list[BodyRecord]:
         """The bodies that something may have struck in the last step. least: the ``gate``."""
         engine = self.engine
         self._steps += 1
-        if self.contacts:
-            self.contacts.clear()
+        if self.contact_cache:
+            self.contact_cache.clear()
         suspects: list[BodyRecord] = []
         if self._awake:
             self._poll(suspects, dt, gravity, least)
         if self._called:
             for record in self._called:
-                record.before = None
+                record.motion_before = None
                 if record not in suspects and self.records.get(record.body.id) is record:
                     suspects.append(record)
             self._called.clear()
         steps = self._steps
         # Another body in the last one's place leaves the census as it is, and one in another's place the last.
         if steps & 1:
-            changed = engine.count() != self._census[0] or not engine.is_marked(*self._last)
+            changed = engine.body_count() != self._census[0] or not engine.is_marked(*self._last)
         else:
-            changed = engine.census() != self._census
+            changed = engine.body_count_and_last() != self._census
         if changed:
-            self._census = engine.census()
+            self._census = engine.body_count_and_last()
             for record in tuple(self._left):  # what they lay on may be gone
                 if record.asleep:
                     self.wake(record)
@@ -140,15 +140,15 @@ class Activity:
         if self._due <= steps:
             self._due = NEVER
             for record in tuple(self._left):
-                if record.until <= steps and not (record.asleep and self._lies(record)):
+                if record.unobserved_until <= steps and not (record.asleep and self._lies(record)):
                     self.wake(record)
                 else:
-                    self._due = min(self._due, record.until)
-        if self._foreign or self.loose:
+                    self._due = min(self._due, record.unobserved_until)
+        if self._foreign or self.unwatched_movers:
             box = self._box or self._enclose(dt)
-            seen = engine.near(*box)
-            if seen != self._seen or self.loose != self._loose:
-                self._seen, self._loose = seen, self.loose
+            seen = engine.overlapping(*box)
+            if seen != self._seen or self.unwatched_movers != self._loose:
+                self._seen, self._loose = seen, self.unwatched_movers
                 self._moving = any(self._moves(body) for body, _ in seen)
         else:
             self._moving = False
@@ -162,23 +162,23 @@ class Activity:
         """Find out anew what there is besides; ids of removed bodies are handed out again."""
         engine = self.engine
         self._planes.clear()
-        engine.forget()
-        self.own = {body: mark for body, mark in self.own.items() if engine.is_marked(body, mark)}
+        engine.forget_joints()
+        self.tokens = {body: mark for body, mark in self.tokens.items() if engine.is_marked(body, mark)}
         self._seen = ()
         self._foreign = frozenset(
-            body for body in engine.bodies() if body not in self.own and not engine.is_static(body)
+            body for body in engine.body_ids() if body not in self.tokens and not engine.is_static(body)
         )
         self._moving = False
-        self._tied = engine.tied(self.records)
+        self._tied = engine.constrained_to(self.records)
         last = self._census[1]
-        if last in self.own:
-            self._last = last, self.own[last]
+        if last in self.tokens:
+            self._last = last, self.tokens[last]
         elif last >= 0 and not (self._last[0] == last and engine.is_marked(*self._last)):
             self._last = last, engine.mark(last)
 
     def _moves(self, body: int) -> bool:
         """Whether a body is one that moves and is not watched."""
-        return body in self._foreign or body in self.loose
+        return body in self._foreign or body in self.unwatched_movers
 
     def _poll(self, suspects: list[BodyRecord], dt: float, gravity: Triple, least: float) -> None:
         motion_of = self.engine.motion
@@ -189,9 +189,9 @@ class Activity:
             try:
                 motion = motion_of(record.body.id)
             except BodyNotFound:
-                self.drop(record.body.id)
+                self.forget(record.body.id)
                 continue
-            record.before, record.motion = old, motion
+            record.motion_before, record.motion = old, motion
             (a, b, c), (d, e, f) = motion
             (a0, b0, c0), (d0, e0, f0) = old
             reach = record.reach
@@ -206,50 +206,50 @@ class Activity:
             center[2] += c * dt
             if (jump if jump < held else held) + reach * turn > limit:
                 suspects.append(record)
-                record.calm = 0
+                record.slow_steps = 0
             elif moved < 0.25 * least * dt and is_slow(motion, least, reach):
-                record.calm += 1
-                if record.calm >= CALM and not record.foreign and not record.pressed:
+                record.slow_steps += 1
+                if record.slow_steps >= CALM and not record.mover_near and not record.pressed_steps:
                     self._leave(record, NEVER, dt)
                     continue
             else:
-                record.calm = 0
-            if record.pressed:
+                record.slow_steps = 0
+            if record.pressed_steps:
                 self._press(record)
-            record.slack -= moved
-            if steps - record.tried >= AHEAD and not record.foreign and self._is_free(record, dt, gravity):
+            record.box_slack -= moved
+            if steps - record.flight_checked >= AHEAD and not record.mover_near and self._is_free(record, dt, gravity):
                 self._leave(record, steps + AHEAD, dt)
-            elif record.slack < 0.0:
+            elif record.box_slack < 0.0:
                 self._box_of(record, dt)
 
     def _box_of(self, record: BodyRecord, dt: float) -> None:
         """A box that the body keeps a margin to on all sides until it has moved."""
         margin = SPEED * dt + 0.01 * record.reach
-        record.slack = 0.5 * margin
+        record.box_slack = 0.5 * margin
         reach = record.reach + 2 * margin
         x, y, z = record.center = list(self.engine.placement(record.body.id)[0])
-        record.low, record.high = (x - reach, y - reach, z - reach), (x + reach, y + reach, z + reach)
+        record.box_low, record.box_high = (x - reach, y - reach, z - reach), (x + reach, y + reach, z + reach)
         self._box = None
 
     def _leave(self, record: BodyRecord, until: int, dt: float) -> None:
         self._awake.remove(record)
         self._left.append(record)
-        record.since = self._steps
+        record.unobserved_since = self._steps
         if until == NEVER:
             record.asleep = True
             self._box_of(record, dt)
-            record.core = _core(record, dt)
+            record.contact_box = _core(record, dt)
             speed = max(map(abs, record.motion[0]))
             if speed > 1e-9:  # it creeps
-                until = self._steps + 1 + int(record.slack / (3 * speed * dt))
+                until = self._steps + 1 + int(record.box_slack / (3 * speed * dt))
         else:
             self._flying.append(record)
-        record.until = until
+        record.unobserved_until = until
         self._due = min(self._due, until)
 
     def _is_free(self, record: BodyRecord, dt: float, gravity: Triple) -> bool:
         """Whether nothing can be met in the next AHEAD steps unless it comes near; then its box covers the way."""
-        record.tried = self._steps
+        record.flight_checked = self._steps
         time = (AHEAD + 2) * dt
         margin = SPEED * dt + record.reach
         record.center = list(self.engine.placement(record.body.id)[0])
@@ -262,21 +262,21 @@ class Activity:
             high.append(x + max(0.0, end, turn) + margin)
         corners = (low[0], low[1], low[2]), (high[0], high[1], high[2])
         for other in self._left:  # what flies may be anywhere on its way
-            if all(a <= d and c <= b for a, b, c, d in zip(low, high, other.low, other.high, strict=True)):
+            if all(a <= d and c <= b for a, b, c, d in zip(low, high, other.box_low, other.box_high, strict=True)):
                 return False
-        for body, _ in self.engine.near(*corners):
+        for body, _ in self.engine.overlapping(*corners):
             if body != record.body.id and not self._is_clear(body, low, high):
                 return False
-        record.low, record.high = corners
+        record.box_low, record.box_high = corners
         self._box = None
         return True
 
     def _is_clear(self, body: int, low: list[float], high: list[float]) -> bool:
         """Whether a body that meets a box by its bounding box is an infinite plane that does not."""
-        if body in self.own or body in self._foreign:
+        if body in self.tokens or body in self._foreign:
             return False
         if body not in self._planes:
-            self._planes[body] = self.engine.plane(body)
+            self._planes[body] = self.engine.plane_of(body)
         if self._planes[body] is None:
             return False
         normal, height = self._planes[body]
@@ -290,8 +290,8 @@ class Activity:
         except BodyNotFound:
             return False
         moved = max(abs(a - b) for a, b in zip(place, record.center, strict=True))
-        record.until = self._steps + max(CALM, 2 * (self._steps - record.since))
-        return moved < 0.25 * record.slack
+        record.unobserved_until = self._steps + max(CALM, 2 * (self._steps - record.unobserved_since))
+        return moved < 0.25 * record.box_slack
 
     def _check(self, least: float) -> None:
         """Whether those that lie still do."""
@@ -300,18 +300,18 @@ class Activity:
                 if record.asleep and not is_slow(self.engine.motion(record.body.id), least, record.reach):
                     self.wake(record)
             except BodyNotFound:
-                self.drop(record.body.id)
+                self.forget(record.body.id)
 
     def _track(self, suspects: list[BodyRecord], dt: float, gravity: Triple) -> None:
         """Whether those in flight are where that takes them: somebody may have put them elsewhere."""
         for record in tuple(self._flying):
-            time = (self._steps - record.since) * dt
+            time = (self._steps - record.unobserved_since) * dt
             rest = 0.5 * time * (time + dt)
             motion = record.motion[0]
             try:
                 place = self.engine.placement(record.body.id)[0]
             except BodyNotFound:
-                self.drop(record.body.id)
+                self.forget(record.body.id)
                 continue
             off = max(
                 abs(x - c - v * time - g * rest)
@@ -326,18 +326,18 @@ class Activity:
         records = [*self._awake, *self._left]
         self._turn += 1
         record = records[self._turn % len(records)]
-        if not record.pressed:
+        if not record.pressed_steps:
             self._press(record)
 
     def _enclose(self, dt: float) -> tuple[Triple, Triple]:
         for record in self._awake:
-            if record.slack < 0.0:
+            if record.box_slack < 0.0:
                 self._box_of(record, dt)
         low, high = [1e30] * 3, [-1e30] * 3
         for record in self.records.values():
             for k in range(3):
-                low[k] = min(low[k], record.low[k])
-                high[k] = max(high[k], record.high[k])
+                low[k] = min(low[k], record.box_low[k])
+                high[k] = max(high[k], record.box_high[k])
         self._box = (low[0], low[1], low[2]), (high[0], high[1], high[2])
         return self._box
 
@@ -348,27 +348,27 @@ class Activity:
         beside = self._beside(dt) if self._moving else {}
         for record in (*self._awake, *self._left):
             foreign = beside.get(record.body.id)
-            record.foreign = foreign is not None
+            record.mover_near = foreign is not None
             if foreign is None:
                 continue
             slow = False
-            if record.until:
+            if record.unobserved_until:
                 asleep, was = record.asleep, record.motion
                 self.wake(record)
                 slow = asleep and is_slow(was, least, record.reach)
             near.update(foreign)
             if record in suspects:
                 continue
-            contacts = self.touching(record.body.id) if self._is_touched(record, foreign) else None
+            contacts = self.contacts_of(record.body.id) if self._is_touched(record, foreign) else None
             if contacts is None:
-                record.touched = False
+                record.mover_touches = False
                 continue
-            if not record.pressed and contacts.force > record.bearable:
+            if not record.pressed_steps and contacts.force > record.bearable_force:
                 self._press(record)
             pushing = [key for key in contacts.pushing if self._moves(key[0])]
-            record.touched = bool(pushing)
-            if record.before is not None:
-                slow = is_slow(record.before, least, record.reach)
+            record.mover_touches = bool(pushing)
+            if record.motion_before is not None:
+                slow = is_slow(record.motion_before, least, record.reach)
             for key in pushing:
                 motion = self._now.get(key)
                 if motion is None or not slow or not is_slow(motion, least, 1.0):
@@ -385,13 +385,13 @@ class Activity:
         records = self.records.values()
         if len(movers) <= len(records):
             old = self._boxes
-            boxes = self._boxes = {key: self.engine.box(*key) for key in movers}
+            boxes = self._boxes = {key: self.engine.bounding_box(*key) for key in movers}
             steps = [_step(old[key], box) if key in old else SPEED for key, box in boxes.items()]
             if max(steps) < SPEED * dt:
                 return self._by_boxes(boxes, steps, dt)
         found: dict[int, list[tuple[int, int]]] = {}
         for record in records:
-            foreign = [key for key in self.engine.near(record.low, record.high) if self._moves(key[0])]
+            foreign = [key for key in self.engine.overlapping(record.box_low, record.box_high) if self._moves(key[0])]
             if foreign:
                 found[record.body.id] = foreign
         return found
@@ -410,7 +410,7 @@ class Activity:
         east, north, up = map(max, lows_and_highs[3:])
         found: dict[int, list[tuple[int, int]]] = {}
         for record in self.records.values():
-            a, b, c, d, e, f = record.core if record.asleep else _core(record, dt)
+            a, b, c, d, e, f = record.contact_box if record.asleep else _core(record, dt)
             if d < west or a > east or e < south or b > north or f < down or c > up:
                 continue
             near = [
@@ -424,40 +424,40 @@ class Activity:
         """Whether all contacts of a body are worth asking for: one thing alone near it mostly does not touch it. What
         presses on it through others is seen every few steps."""
         others = {body for body, _ in foreign}
-        if record.touched or len(others) > 1 or not (self._steps + record.body.id) & 3:
+        if record.mover_touches or len(others) > 1 or not (self._steps + record.body.id) & 3:
             return True
-        return self.engine.touch(record.body.id, others.pop())
+        return self.engine.are_touching(record.body.id, others.pop())
 
-    def touching(self, body: int) -> BodyContacts | None:
+    def contacts_of(self, body: int) -> BodyContacts | None:
         """The contacts of a body in the last step."""
-        if body not in self.contacts:
-            self.contacts[body] = self.engine.contacts(body)
-        return self.contacts[body]
+        if body not in self.contact_cache:
+            self.contact_cache[body] = self.engine.contacts(body)
+        return self.contact_cache[body]
 
     def _press(self, record: BodyRecord) -> None:
         """Count the steps for which more than a bearable force has pressed on a body."""
-        contacts = self.touching(record.body.id)
+        contacts = self.contacts_of(record.body.id)
         slow = is_slow(record.motion, 0.4, record.reach)
-        if contacts is None or not slow or contacts.force <= record.bearable:
-            record.pressed, record.lightest = 0, None
+        if contacts is None or not slow or contacts.force <= record.bearable_force:
+            record.pressed_steps, record.lightest_contacts = 0, None
             return
-        if record.until:
+        if record.unobserved_until:
             self.wake(record)
-        record.pressed += 1
-        self.loaded = True
-        if record.pressed % EVERY == 1:
-            record.lightest = None
-        if record.lightest is None or contacts.force < record.lightest.force:
-            record.lightest = contacts
+        record.pressed_steps += 1
+        self.any_pressed = True
+        if record.pressed_steps % EVERY == 1:
+            record.lightest_contacts = None
+        if record.lightest_contacts is None or contacts.force < record.lightest_contacts.force:
+            record.lightest_contacts = contacts
 
-    def pressed(self) -> list[BodyRecord]:
+    def due_loads(self) -> list[BodyRecord]:
         """The bodies that more than a bearable force has pressed on for long enough to count, now and then."""
         found = []
         for record in self._awake:
-            record.loaded = record.pressed > 0 and record.pressed % EVERY == LASTING
-            if record.loaded:
+            record.load_due = record.pressed_steps > 0 and record.pressed_steps % EVERY == LASTING
+            if record.load_due:
                 found.append(record)
-        self.loaded = any(record.pressed for record in self._awake)
+        self.any_pressed = any(record.pressed_steps for record in self._awake)
         return found
 
     # What was before
@@ -467,13 +467,13 @@ class Activity:
         record = self.records.get(body)
         if record is None:
             return self._before.get((body, link))
-        return None if record.until else record.before
+        return None if record.unobserved_until else record.motion_before
 
-    def rates_before(self, body: int) -> tuple[tuple[float, ...], ...] | None:
+    def joint_rates_before(self, body: int) -> tuple[tuple[float, ...], ...] | None:
         """The velocities of its joints then, if they were kept."""
         return self._rates.get(body)
 
-    def restored(self, state: State) -> None:
+    def body_restored(self, state: BodyState) -> None:
         """A body has been put back to where it was."""
         record = self.records.get(state.body)
         if record is not None:
@@ -483,7 +483,7 @@ class Activity:
                 self._now[key] = self._before.get(key, state.motion)
             self._rates_now[state.body] = state.rates
 
-    def changed(self, body: int, motion: Motion) -> None:
+    def velocity_set(self, body: int, motion: Motion) -> None:
         """A body was given another velocity after the last step."""
         if body in self.records:
             self.records[body].motion = motion
@@ -493,8 +493,8 @@ class Activity:
 
 def _core(record: BodyRecord, dt: float) -> tuple[float, ...]:
     """Lows and highs of the box that something has to meet to touch a body in the step to come."""
-    if record.until and not record.asleep:
-        return (*record.low, *record.high)
+    if record.unobserved_until and not record.asleep:
+        return (*record.box_low, *record.box_high)
     x, y, z = record.center
     reach = 1.01 * record.reach + 0.2 * SPEED * dt + max(map(abs, record.motion[0])) * dt
     return x - reach, y - reach, z - reach, x + reach, y + reach, z + reach

@@ -104,15 +104,15 @@ def spawn(
     spin = tuple(pose.angular.tolist())
     bodies = []
     for k, solid in enumerate(solids):
-        visual = engine.hidden()
+        visual = engine.invisible_shape()
         if colors is not None:
             local = (solid.vertices - centers[k]) @ axes[k]
-            visual = engine.visual(local, solid.faces, colors[k % len(colors)])
+            visual = engine.create_visual(local, solid.faces, colors[k % len(colors)])
         parts = solid.convex_parts
         frame = tuple(((parts.offset - centers[k]) @ axes[k]).tolist()), frames[k]
         motion = tuple(speeds[k].tolist()), spin
         mass = heavier * float(solid.mass)
         place = places[k], ways[k]
-        body = engine.create(parts, frame, mass, moments[k].tolist(), place, motion, surface, visual)
+        body = engine.create_body(parts, frame, mass, moments[k].tolist(), place, motion, surface, visual)
         bodies.append(Body(body, engine.mark(body), mass, centers[k], axes[k], moments[k]))
     return bodies

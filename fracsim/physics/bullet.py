@@ -18,8 +18,8 @@ import pybullet as p
 from ..common.arrays import FloatArray, IntArray
 from ..common.errors import PhysicsError
 from ..fracture.pieces import ConvexParts
-from .rotations import rotation_of, turned
-from .states import BodyContacts, ContactProperties, Motion, Placement, Rigid, State, Touches, Triple
+from .rotations import integrate_rotation, rotation_of
+from .states import BodyContacts, BodyState, ContactForces, ContactProperties, Motion, Placement, RigidBody, Triple
 
 _MEMORY = "/dev/shm"  # where compound shapes pass through, when there is such a place
 _TOKENS = count()
@@ -69,16 +69,16 @@ class Engine:
     def step(self) -> None:
         p.stepSimulation(physicsClientId=self.client)
 
-    def census(self) -> tuple[int, int]:
+    def body_count_and_last(self) -> tuple[int, int]:
         """The number of bodies, and the id of the last: a change of either tells that some came or went."""
         count = p.getNumBodies(physicsClientId=self.client)
         return count, p.getBodyUniqueId(count - 1, physicsClientId=self.client) if count else -1
 
-    def count(self) -> int:
+    def body_count(self) -> int:
         """The number of bodies."""
         return int(p.getNumBodies(physicsClientId=self.client))
 
-    def bodies(self) -> list[int]:
+    def body_ids(self) -> list[int]:
         client = self.client
         return [p.getBodyUniqueId(k, physicsClientId=client) for k in range(p.getNumBodies(physicsClientId=client))]
 
@@ -132,24 +132,28 @@ class Engine:
             self._joints[body] = joints
         return joints
 
-    def forget(self) -> None:
+    def forget_joints(self) -> None:
         """Read the joints of bodies anew, since ids of removed ones are handed out again."""
         self._joints.clear()
 
-    def state_before(self, body: int, motion: Motion, rates: Sequence[tuple[float, ...]] | None, dt: float) -> State:
+    def state_before(
+        self, body: int, motion: Motion, rates: Sequence[tuple[float, ...]] | None, dt: float
+    ) -> BodyState:
+        self, body: int, motion: Motion, rates: Sequence[tuple[float, ...]] | None, dt: float
+    ) -> BodyState:
         """The state of a body before the last step, given how it moved then; rates: of its joints, None keeping what
         they are."""
         place = self.placement_before(body, dt)
         joints = self._movable(body)
         if not joints:
-            return State(body, place, motion)
+            return BodyState(body, place, motion)
         states = p.getJointStatesMultiDof(body, joints, physicsClientId=self.client)
         now = tuple(state[1] for state in states)
         # A ball joint's place is a quaternion, which a step backwards would have to compose; a step's worth is kept.
         angles = tuple((state[0][0] - dt * state[1][0],) if len(state[0]) == 1 else tuple(state[0]) for state in states)
-        return State(body, place, motion, joints, angles, now if rates is None else tuple(rates))
+        return BodyState(body, place, motion, joints, angles, now if rates is None else tuple(rates))
 
-    def restore(self, state: State) -> None:
+    def restore(self, state: BodyState) -> None:
         """Put a body back."""
         client = self.client
         p.resetBasePositionAndOrientation(state.body, *state.placement, physicsClientId=client)
@@ -161,33 +165,33 @@ class Engine:
             elif len(angle) == 4:
                 p.resetJointStateMultiDof(state.body, joint, angle, rate, physicsClientId=client)
 
-    def move(self, body: int, linear: FloatArray, angular: FloatArray) -> None:
+    def set_velocity(self, body: int, linear: FloatArray, angular: FloatArray) -> None:
         """Give a body another velocity."""
         p.resetBaseVelocity(body, linear.tolist(), angular.tolist(), physicsClientId=self.client)
 
-    def jointed(self, body: int) -> bool:
+    def is_articulated(self, body: int) -> bool:
         """Whether it is articulated."""
         return bool(p.getNumJoints(body, physicsClientId=self.client) > 0)
 
     def is_static(self, body: int) -> bool:
         """Whether it has no mass and no joints; a body that does not exist counts as static."""
         try:
-            return self.mass(body) == 0.0 and not self.jointed(body)
+            return self.mass(body) == 0.0 and not self.is_articulated(body)
         except p.error:
             return True
 
     # What touches what
 
-    def near(self, low: Triple, high: Triple) -> tuple[tuple[int, int], ...]:
+    def overlapping(self, low: Triple, high: Triple) -> tuple[tuple[int, int], ...]:
         """(body, link) of everything whose bounding box met this one when the last step looked for contacts."""
         return p.getOverlappingObjects(low, high, physicsClientId=self.client) or ()
 
-    def box(self, body: int, link: int) -> tuple[Triple, Triple]:
+    def bounding_box(self, body: int, link: int) -> tuple[Triple, Triple]:
         """Of a body's base or a link, where it is now; axis-aligned."""
         box: tuple[Triple, Triple] = p.getAABB(body, link, physicsClientId=self.client)
         return box
 
-    def plane(self, body: int) -> tuple[FloatArray, float] | None:
+    def plane_of(self, body: int) -> tuple[FloatArray, float] | None:
         """Normal (3,) and height over the origin of a body that is an infinite plane."""
         shapes = p.getCollisionShapeData(body, -1, physicsClientId=self.client)
         if not shapes or shapes[0][2] != p.GEOM_PLANE:
@@ -203,23 +207,23 @@ class Engine:
         points = [q for q in found if q[9] > 0.0 or q[8] < 0.0] if any(q[9] > 0.0 for q in found) else ()
         return BodyContacts(points) if points else None
 
-    def touch(self, body: int, other: int) -> bool:
+    def are_touching(self, body: int, other: int) -> bool:
         """Whether the two have a contact, with force or without."""
         return bool(p.getContactPoints(bodyA=body, bodyB=other, physicsClientId=self.client))
 
-    def touches(self) -> Touches:
+    def contact_forces(self) -> ContactForces:
         """Every contact that carried force."""
         # Asked for without naming a body, since only then normal and friction are of the same one.
         points = [q for q in p.getContactPoints(physicsClientId=self.client) or () if q[9] > 0.0]
         if not points:
             none = np.zeros((0, 3))
-            return Touches(np.zeros((0, 2), dtype=np.int64), none, none, none, np.zeros(0))
+            return ContactForces(np.zeros((0, 2), dtype=np.int64), none, none, none, np.zeros(0))
         _, a, b, _, _, on_a, on_b, normal, gap, push, rub, way, other_rub, other_way = zip(*points, strict=True)
         force = sum(
             np.array(size)[:, None] * np.array(along)
             for size, along in ((push, normal), (rub, way), (other_rub, other_way))
         )
-        return Touches(np.array([a, b]).T, np.asarray(force), np.array(on_a), np.array(on_b), -np.array(gap))
+        return ContactForces(np.array([a, b]).T, np.asarray(force), np.array(on_a), np.array(on_b), -np.array(gap))
 
     def constraints(self) -> list[tuple[int, tuple[Any, ...]]]:
         """(id, description) of the constraints between bodies."""
@@ -228,7 +232,7 @@ class Engine:
         ids = [p.getConstraintUniqueId(k, physicsClientId=client) for k in range(count)]
         return [(one, p.getConstraintInfo(one, physicsClientId=client)) for one in ids]
 
-    def tied(self, bodies: Collection[int]) -> list[int]:
+    def constrained_to(self, bodies: Collection[int]) -> list[int]:
         """The other bodies that constraints join to some of these."""
         if not p.getNumConstraints(physicsClientId=self.client):
             return []
@@ -237,10 +241,10 @@ class Engine:
             {two for one, two in [*pairs, *((b, a) for a, b in pairs)] if one in bodies and two not in bodies}
         )
 
-    def untie(self, constraint: int) -> None:
+    def remove_constraint(self, constraint: int) -> None:
         p.removeConstraint(constraint, physicsClientId=self.client)
 
-    def tie(self, info: Sequence[Any]) -> int:
+    def create_constraint(self, info: Sequence[Any]) -> int:
         """A constraint between two bodies, described as ``constraints`` does -> its id."""
         constraint: int = p.createConstraint(*info[:10], physicsClientId=self.client)
         p.changeConstraint(constraint, maxForce=info[10], physicsClientId=self.client)
@@ -252,9 +256,9 @@ class Engine:
         center, quaternion = self.placement(body)
         linear, angular = self.motion(body)
         x, y, z = (a - dt * b for a, b in zip(center, linear, strict=True))
-        return (x, y, z), turned(quaternion, angular, -dt)
+        return (x, y, z), integrate_rotation(quaternion, angular, -dt)
 
-    def rigid(self, body: int, link: int) -> Rigid:
+    def rigid_body(self, body: int, link: int) -> RigidBody:
         """A body or link as it is now."""
         info = p.getDynamicsInfo(body, link, physicsClientId=self.client)
         if link < 0:
@@ -262,13 +266,13 @@ class Engine:
         else:
             center, axes = p.getLinkState(body, link, physicsClientId=self.client)[:2]
         jointed = p.getNumJoints(body, physicsClientId=self.client) > 0
-        return Rigid(info[0], np.array(info[2]), np.array(center), rotation_of(axes), info[5], info[1], jointed)
+        return RigidBody(info[0], np.array(info[2]), np.array(center), rotation_of(axes), info[5], info[1], jointed)
 
     def mass(self, body: int) -> float:
         """kg; 0 for one that is static."""
         return float(p.getDynamicsInfo(body, -1, physicsClientId=self.client)[0])
 
-    def surface(self, body: int, linear_damping: float, angular_damping: float) -> ContactProperties:
+    def contact_properties(self, body: int, linear_damping: float, angular_damping: float) -> ContactProperties:
         """The body's contact properties as they are now; damping cannot be read back from the engine."""
         info = p.getDynamicsInfo(body, -1, physicsClientId=self.client)
         return ContactProperties(
@@ -277,7 +281,7 @@ class Engine:
 
     # Making and removing bodies
 
-    def create(
+    def create_body(
         self,
         parts: ConvexParts,
         frame: Placement,
@@ -302,7 +306,7 @@ class Engine:
                 self._shapes.clear()
                 self._hidden = -1
                 shape = self._shape(parts, frame)
-                body = p.createMultiBody(mass, shape, self.hidden(), *place, physicsClientId=client)
+                body = p.createMultiBody(mass, shape, self.invisible_shape(), *place, physicsClientId=client)
         except p.error as error:
             raise PhysicsError(f"PyBullet rejected a body of {len(parts)} convex parts: {error}") from error
         options = {}
@@ -356,7 +360,7 @@ class Engine:
         shapes = p.getCollisionShapeData(body, -1, physicsClientId=self.client)
         return len(shapes) == len(parts) and shapes[0][2] == p.GEOM_MESH and bool(np.allclose(shapes[0][5], frame[0]))
 
-    def hidden(self) -> int:
+    def invisible_shape(self) -> int:
         """The visual shape that shows nothing: without one the engine would draw the collision shape."""
         if self._hidden < 0:
             self._hidden = p.createVisualShape(
@@ -368,7 +372,7 @@ class Engine:
             )
         return self._hidden
 
-    def visual(self, vertices: FloatArray, faces: IntArray, color: Sequence[float]) -> int:
+    def create_visual(self, vertices: FloatArray, faces: IntArray, color: Sequence[float]) -> int:
         """A flat-shaded visual shape: each face has its own three corners and one normal."""
         corners = vertices[faces]  # (F, 3, 3)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -394,7 +398,7 @@ class Engine:
         """Whether the body with this id is still the one that got the tag."""
         return bool(p.getUserDataId(body, token, physicsClientId=self.client) >= 0)
 
-    def remove(self, body: int) -> None:
+    def remove_body(self, body: int) -> None:
         p.removeBody(body, physicsClientId=self.client)
 
 

@@ -100,7 +100,7 @@ class PenetrationGuard:
         if not all(engine.is_marked(body.id, body.token) for body in self.bodies if body.token):
             return False  # ids come again
         bodies, stuck = {body.id for body in self.bodies}, False
-        touches = engine.touches()
+        touches = engine.contact_forces()
         for (a, b), depth in zip(touches.bodies.tolist(), touches.depths.tolist(), strict=True):
             if a in bodies and b in bodies:
                 stuck |= depth > least
@@ -136,6 +136,6 @@ def dissipate(engine: Engine, pieces: Sequence[Body], demand: float) -> tuple[fl
     linear, angular = rigid + left * off, common + left * twist
     changed: list[Motion] = []
     for piece, v, w in zip(pieces, linear, angular, strict=True):
-        engine.move(piece.id, v, w)
+        engine.set_velocity(piece.id, v, w)
         changed.append((tuple(v.tolist()), tuple(w.tolist())))
     return taken, changed

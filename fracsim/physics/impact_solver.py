@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ..common.arrays import FloatArray, IntArray
 from .rotations import cross
-from .states import Motion, Rigid
+from .states import Motion, RigidBody
 
 SIMULTANEOUS = 1e-4  # s: contacts that begin within it are one impact, shared among them
 SWEEPS = 10  # over the contacts of an impact, to find their friction
@@ -22,7 +22,7 @@ class ImpactSolver:
     """
 
     def __init__(
-        self, rigids: list[Rigid], motions: list[Motion], points: FloatArray, normals: FloatArray, sides: IntArray
+        self, rigids: list[RigidBody], motions: list[Motion], points: FloatArray, normals: FloatArray, sides: IntArray
     ) -> None:
         self.rigids, self.normals, self.sides = rigids, normals, sides
         self.linear = np.array([motion[0] for motion in motions])
@@ -149,7 +149,7 @@ class ImpactSolver:
         return np.asarray((found[:, None] * ways).reshape(count, 3, 3).sum(axis=1))
 
 
-def inverse_inertia(part: Rigid) -> FloatArray:
+def inverse_inertia(part: RigidBody) -> FloatArray:
     """(3, 3) world. An inertia of zero is the engine's way to say that a body does not turn about that axis."""
     turns = np.divide(1.0, part.moments, out=np.zeros(3), where=part.moments > 0.0)
     return np.asarray((part.rotation * turns) @ part.rotation.T)

@@ -20,7 +20,7 @@ from .bodies import Body
 from .bullet import Engine
 from .impact_solver import ImpactSolver, complementary_impulses, inverse_inertia
 from .rotations import cross, rotation_of
-from .states import BodyContacts, Motion, Placement, Rigid, Triple
+from .states import BodyContacts, Motion, Placement, RigidBody, Triple
 
 MANY, MOST = 32, 96  # contacts of a body from which on they are thinned out, and how many are left at most
 LOAD_DURATION = 1e-3  # s: a sustained force F counts as the impulse F LOAD; about what a hit of hard things lasts
@@ -80,7 +80,7 @@ def predict_impacts(
     before = body.pose(placement, motion_of(body.id, -1))
     own = _own(engine, body, placement)
     points, normals, others = contacts.points, contacts.normals, contacts.others
-    parts = {key: _rewound(engine.rigid(*key), engine.motion(key[0]), dt) for key in dict.fromkeys(others)}
+    parts = {key: _rewound(engine.rigid_body(*key), engine.motion(key[0]), dt) for key in dict.fromkeys(others)}
     rigids = [own, *parts.values()]
     motions = [motion_of(body.id, -1), *(motion_of(*key) for key in parts)]
     sides = np.array([1 + list(parts).index(key) for key in others])  # whose contact it is
@@ -168,12 +168,12 @@ def sustained_impulses(
     ]
 
 
-def _own(engine: Engine, body: Body, placement: Placement) -> Rigid:
+def _own(engine: Engine, body: Body, placement: Placement) -> RigidBody:
     center, quaternion = placement
-    return replace(engine.rigid(body.id, -1), center=np.array(center), rotation=rotation_of(quaternion))
+    return replace(engine.rigid_body(body.id, -1), center=np.array(center), rotation=rotation_of(quaternion))
 
 
-def _rewound(part: Rigid, motion: Motion, dt: float) -> Rigid:
+def _rewound(part: RigidBody, motion: Motion, dt: float) -> RigidBody:
     """A part back where it was before the step: the engine moves with the velocity it ends a step with."""
     if part.mass == 0.0 or part.jointed:
         return part

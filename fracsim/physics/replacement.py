@@ -12,7 +12,7 @@ from ..fracture.pieces import ConvexParts
 from .bodies import Body
 from .bullet import Engine
 from .rotations import cross, rotation_of
-from .states import Motion, Placement, Touches, Triple
+from .states import ContactForces, Motion, Placement, Triple
 
 
 def contact_island(pairs: Iterable[Sequence[int]], seeds: Iterable[int], is_static: Callable[[int], bool]) -> list[int]:
@@ -33,14 +33,14 @@ def contact_island(pairs: Iterable[Sequence[int]], seeds: Iterable[int], is_stat
 
 
 def velocity_before_step(
-    engine: Engine, body: int, placement: Placement, touches: Touches, dt: float, gravity: Triple
+    engine: Engine, body: int, placement: Placement, touches: ContactForces, dt: float, gravity: Triple
 ) -> Motion:
     """How a free body moved before the last step, from how it moves now and what its contacts did to it.
 
     placement: where it was then. Damping and outside forces of that one step are not undone.
     """
     linear, angular = (np.array(part) for part in engine.motion(body))
-    own = engine.rigid(body, -1)
+    own = engine.rigid_body(body, -1)
     push, turn = np.zeros(3), np.zeros(3)
     for side, places in enumerate((touches.on_first, touches.on_second)):
         mine = touches.bodies[:, side] == body
@@ -72,5 +72,5 @@ def transfer_constraint(
     changed[2 * side] = piece.id
     changed[6 + side] = (piece.axes.T @ (pivot - piece.center)).tolist()
     changed[8 + side] = turn.as_quat().tolist()
-    engine.untie(constraint)
-    return engine.tie(changed)
+    engine.remove_constraint(constraint)
+    return engine.create_constraint(changed)

@@ -13,7 +13,7 @@ from ..common.arrays import FloatArray
 from .states import Triple
 
 
-def turned(quaternion: Sequence[float], angular: Triple, time: float) -> tuple[float, float, float, float]:
+def integrate_rotation(quaternion: Sequence[float], angular: Triple, time: float) -> tuple[float, float, float, float]:
     """A unit quaternion (x, y, z, w) after turning for so long, in plain numbers: scipy's checks of its arguments take
     longer than one rotation."""
     speed = math.hypot(*angular)

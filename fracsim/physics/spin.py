@@ -107,7 +107,7 @@ class GyroscopicCorrection:
         velocity = np.einsum("nij,nj->ni", new, velocity)
         given: list[tuple[int, Motion]] = []
         for (spinner, speed, *_), spin in zip(held, velocity, strict=True):
-            engine.move(spinner.body.id, speed, spin)
+            engine.set_velocity(spinner.body.id, speed, spin)
             x, y, z = spin.tolist()
             spinner.angular = x, y, z
             given.append((spinner.body.id, (tuple(speed.tolist()), spinner.angular)))

@@ -35,7 +35,7 @@ class ContactProperties:
 
 
 @dataclass(frozen=True, eq=False)
-class Rigid:
+class RigidBody:
     """A rigid body, or one link of an articulated one, as a contact sees it. A static body has mass 0."""
 
     mass: float
@@ -87,7 +87,7 @@ class BodyContacts:
         return np.array([q[9] for q in self._points])
 
 
-class Touches(NamedTuple):
+class ContactForces(NamedTuple):
     """Contacts between any bodies."""
 
     bodies: IntArray  # (n, 2)
@@ -98,7 +98,7 @@ class Touches(NamedTuple):
 
 
 @dataclass(frozen=True)
-class State:
+class BodyState:
     """Where a body is and how it moves: what it takes to put it back there."""
 
     body: int

@@ -26,7 +26,7 @@ from .records import BodyRecord
 from .replacement import contact_island, transfer_constraint, velocity_before_step
 from .rotations import quaternion_of, rotation_of
 from .spin import GyroscopicCorrection
-from .states import BodyNotFound, ContactProperties, Motion, State, Touches, Triple
+from .states import BodyNotFound, BodyState, ContactForces, ContactProperties, Motion, Triple
 
 if TYPE_CHECKING:
     from ..fracture.asset import BreakableAsset, BreakablePiece
@@ -103,7 +103,7 @@ class World:
         self.decomposition = decomposition
         self.refine_after = at_least(refine_after, 0.0, "refine_after")
         self._refining: list[Refinement] = []
-        self._watch = Activity(self._engine)
+        self._activity = Activity(self._engine)
         self._pieces: dict[int, Body] = {}
         self._damping: dict[int, tuple[float, float]] = {}  # of the pieces; the engine does not tell
         self._spin = GyroscopicCorrection(self._engine)
@@ -116,7 +116,7 @@ class World:
         self._dt, self._gravity = self._engine.clock()
         self._least = impact_speed_threshold(self._dt, self._gravity)
         self._time, self._steps = 0.0, 0  # s, and the steps since
-        self._touches: Touches | None = None  # of the last step, once somebody asked
+        self._touches: ContactForces | None = None  # of the last step, once somebody asked
         self._motions: dict[tuple[int, int], Motion] = {}  # before it
 
     @property
@@ -128,7 +128,7 @@ class World:
     def bodies(self) -> tuple[int, ...]:
         """The ids of the unbroken breakable bodies."""
         self._forget_removed()
-        return tuple(body for body, record in self._watch.records.items() if record.generation == 0)
+        return tuple(body for body, record in self._activity.records.items() if record.generation == 0)
 
     @property
     def pieces(self) -> tuple[int, ...]:
@@ -187,22 +187,22 @@ class World:
             self._warn(asset, error)
         [body] = spawn(self._engine, [asset], pose, surface, [WHOLE_COLOUR] if self.visuals else None)
         self._forget(body.id)  # what somebody removed, and whose id this is now
-        self._watch.add(BodyRecord(body, asset, damping, asset.reach, asset.bearable_impulse / LOAD_DURATION))
+        self._activity.add(BodyRecord(body, asset, damping, asset.reach, asset.bearable_impulse / LOAD_DURATION))
         return body.id
 
     def remove(self, body: int) -> None:
         """Remove a breakable body or a piece that this world made."""
         self._find(body)
-        self._engine.remove(body)
+        self._engine.remove_body(body)
         self._forget(body)
 
     def asset(self, body: int) -> BreakableAsset:
         """The asset of an unbroken body, at the body's scale."""
         self._find(body)
-        record = self._watch.records.get(body)
+        record = self._activity.records.get(body)
         if record is None or record.generation:
             raise PhysicsError(f"body {body} is a piece; only unbroken bodies, world.bodies, have an asset")
-        return record.target
+        return record.breakable
 
     def pose(self, body: int) -> tuple[FloatArray, FloatArray]:
         """Position (3,) and orientation (x, y, z, w) of the asset's frame, of a body or of a piece."""
@@ -217,10 +217,10 @@ class World:
         a saved state put back. Without it that is noticed some steps later.
         """
         self._forget_removed()
-        bodies = self._watch.records if body is None else [self._find(body).id]
+        bodies = self._activity.records if body is None else [self._find(body).id]
         for one in tuple(bodies):
-            if one in self._watch.records:
-                self._watch.wake(self._watch.records[one], look=True)
+            if one in self._activity.records:
+                self._activity.wake(self._activity.records[one], look=True)
 
     def constraint(self, constraint: int) -> int:
         """The id by which a constraint goes now. What held a body that broke holds one of its pieces, and the engine
@@ -250,7 +250,7 @@ class World:
         that contacts and constraints join to it goes back to before the step, and the next one is lived by the pieces
         in its place. A force that lasts counts as the impulse of 1 ms of it, without what the body's own weight takes.
         """
-        engine, watch = self._engine, self._watch
+        engine, activity = self._engine, self._activity
         try:
             engine.step()
         except BodyNotFound:
@@ -260,11 +260,11 @@ class World:
         if self._steps == _CLOCK:
             self._read_clock()
         parting, cooling = tuple(self._parting), tuple(self._cooling)  # what breaks now has not moved yet
-        events = self._look() if watch.records else []
+        events = self._look() if activity.records else []
         if self._pieces:  # last, as what was before the step follows from how it left things
             for body, motion in self._spin.hold(self._dt):
-                watch.changed(body, motion)
-            watch.loose = self._spin.moving - watch.records.keys()
+                activity.velocity_set(body, motion)
+            activity.unwatched_movers = self._spin.moving - activity.records.keys()
             if parting:
                 self._part(parting)
             if cooling:
@@ -274,14 +274,14 @@ class World:
         return events
 
     def _look(self) -> list[FractureEvent]:
-        watch = self._watch
+        activity = self._activity
         try:
-            suspects = watch.look(self._dt, self._gravity, self._least)
+            suspects = activity.observe_step(self._dt, self._gravity, self._least)
         except BodyNotFound:
             self._forget_removed()
             return []
-        if not suspects and watch.loaded:
-            suspects = watch.pressed()
+        if not suspects and activity.any_pressed:
+            suspects = activity.due_loads()
         told = self._told
         if told:
             self._told = frozenset()
@@ -300,7 +300,7 @@ class World:
         self._dt, self._gravity = self._engine.clock()
         if (self._dt, self._gravity) != known:
             self._least = impact_speed_threshold(self._dt, self._gravity)
-            self._watch.wake_all()
+            self._activity.wake_all()
 
     def fracture(self, body: int, impulse: Impulse | Sequence[Impulse]) -> FractureEvent:
         """Break a body or a piece on command, with impulses in its asset's frame -> the event; children () if it held.
@@ -311,17 +311,17 @@ class World:
         engine.require_connection()
         impulses = tuple(sorted(as_impulses(impulse), key=lambda one: -one.magnitude))
         self._find(body)
-        record = self._watch.records.get(body)
+        record = self._activity.records.get(body)
         if record is None:
             raise PhysicsError(f"body {body} is a piece that breaks no more: too small, or broken too often")
         start = perf_counter()
         fracture = self._ask(record, impulses)
         timings = {"impulse": 0.0, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
         if fracture is None:
-            fracture = record.target.unbroken()
+            fracture = record.breakable.unbroken()
         if len(fracture.pieces) < 2:
             return FractureEvent(body, (), impulses, fracture, self.time, timings, generation=record.generation)
-        state = State(body, engine.placement(body), engine.motion(body))
+        state = BodyState(body, engine.placement(body), engine.motion(body))
         event = self._replace(_Break(record, impulses, fracture, frozenset(), timings), state)
         self._save()
         return event
@@ -331,9 +331,9 @@ class World:
     def _judge(self, suspects: list[BodyRecord], told: frozenset[tuple[int, int]]) -> list[FractureEvent]:
         struck = []
         queue, done = list(suspects), set()
-        pressed = [record for record in suspects if record.loaded]
+        pressed = [record for record in suspects if record.load_due]
         for record in pressed:
-            record.loaded = False
+            record.load_due = False
         for record in queue:  # grows while it runs
             body = record.body.id
             if body in done:
@@ -346,9 +346,9 @@ class World:
                 continue
             start = perf_counter()
             hits = self._hits_on(record, record in pressed)
-            queue += [self._watch.records[hit.other] for hit in hits if hit.other in self._watch.records]
+            queue += [self._activity.records[hit.other] for hit in hits if hit.other in self._activity.records]
             if self.time < record.immune_until:
-                hits = [hit for hit in hits if hit.other not in record.immune]
+                hits = [hit for hit in hits if hit.other not in record.immune_to]
             if hits:
                 struck.append((record, hits, 1e3 * (perf_counter() - start)))
         for callback in tuple(self._callbacks):
@@ -362,7 +362,7 @@ class World:
             self._motions.clear()
         breaks = []
         for record, hits, elapsed in struck:
-            if self._watch.records.get(record.body.id) is record:
+            if self._activity.records.get(record.body.id) is record:
                 found = self._try(record, hits, elapsed)
                 if found is not None:
                     breaks.append(found)
@@ -376,18 +376,18 @@ class World:
         """Whether all that touches a body was in the break that it came of, and neither may break the other yet."""
         if self.time >= record.immune_until:
             return False
-        contacts = self._watch.touching(record.body.id)
+        contacts = self._activity.contacts_of(record.body.id)
         for other, _ in contacts.others if contacts is not None else ():
-            known = self._watch.records.get(other)
-            if other not in record.immune or (
-                known is not None and (self.time >= known.immune_until or record.body.id not in known.immune)
+            known = self._activity.records.get(other)
+            if other not in record.immune_to or (
+                known is not None and (self.time >= known.immune_until or record.body.id not in known.immune_to)
             ):
                 return False
         return True
 
     def _hits_on(self, record: BodyRecord, loaded: bool) -> list[ContactImpulse]:
         engine, body = self._engine, record.body
-        contacts = record.lightest if loaded else self._watch.touching(body.id)
+        contacts = record.lightest_contacts if loaded else self._activity.contacts_of(body.id)
         if contacts is None:
             return []
         placement = engine.placement_before(body.id, self._dt)
@@ -397,8 +397,10 @@ class World:
 
     def _try(self, record: BodyRecord, hits: list[ContactImpulse], elapsed: float) -> _Break | None:
         """Whether the hits, one after the other and with those just before, break the body."""
-        target = record.target
-        record.hits = earlier = [(when, hit) for when, hit in record.hits if when > self.time - IMPACT_WINDOW]
+        target = record.breakable
+        record.recent_impacts = earlier = [
+            (when, hit) for when, hit in record.recent_impacts if when > self.time - IMPACT_WINDOW
+        ]
         strongest = 0.0  # of those that come together and are no repetitions
         start = perf_counter()
         for k, hit in enumerate(hits):
@@ -411,12 +413,14 @@ class World:
                 and old.impulse.direction @ hit.impulse.direction > 0.8
             ]
             if not any(old.impulse.magnitude >= hit.impulse.magnitude for old in same):
-                record.hits = [entry for entry in record.hits if entry[1] not in same] + [(when, hit)]
+                record.recent_impacts = [entry for entry in record.recent_impacts if entry[1] not in same] + [
+                    (when, hit)
+                ]
                 strongest = max(strongest, hit.impulse.magnitude)
             if (k + 1 < len(hits) and hits[k + 1].delay == hit.delay) or strongest == 0.0:
                 continue
             strongest = 0.0
-            acting = sorted((one.impulse for _, one in record.hits), key=lambda one: -one.magnitude)
+            acting = sorted((one.impulse for _, one in record.recent_impacts), key=lambda one: -one.magnitude)
             impulses = tuple(self._worn(record, acting))
             if not target.may_break(impulses):
                 continue
@@ -424,7 +428,7 @@ class World:
             if fracture is not None and len(fracture.pieces) > 1:
                 timings = {"impulse": elapsed, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
                 return _Break(record, impulses, fracture, frozenset(one.other for one in hits), timings)
-        if self.fatigue is not None and record.hits:
+        if self.fatigue is not None and record.recent_impacts:
             self._tire(record)
         return None
 
@@ -437,7 +441,7 @@ class World:
 
     def _tire(self, record: BodyRecord) -> None:
         """Add what the hits of this step that broke nothing did (Miner's rule), once each."""
-        impulses = [hit.impulse for when, hit in record.hits if when >= self.time and not hit.sustained]
+        impulses = [hit.impulse for when, hit in record.recent_impacts if when >= self.time and not hit.sustained]
         if not impulses or self.fatigue is None:
             return
         low, high = 1.0, 1.0
@@ -446,12 +450,12 @@ class World:
         for _ in range(5):
             middle = (low * high) ** 0.5
             low, high = (low, middle) if self._breaks(record, impulses, middle) else (middle, high)
-        record.tired = self.time, record.damage
+        record.damage_before = self.time, record.damage
         record.damage = min(1.0, record.damage + high**-self.fatigue)
 
     def _breaks(self, record: BodyRecord, impulses: Sequence[Impulse], factor: float) -> bool:
         impacts = tuple(Impulse(one.point, one.direction, one.magnitude * factor) for one in impulses)
-        if not record.target.may_break(impacts):
+        if not record.breakable.may_break(impacts):
             return False
         fracture = self._ask(record, impacts)
         return fracture is not None and len(fracture.pieces) > 1
@@ -459,9 +463,9 @@ class World:
     def _ask(self, record: BodyRecord, impulses: tuple[Impulse, ...]) -> Fracture | None:
         """The model's answer; None, and one warning for each model, when it has none that makes sense."""
         try:
-            return record.target.fracture(impulses)
+            return record.breakable.fracture(impulses)
         except Exception as error:  # whatever somebody's model raises
-            self._warn(record.target, error)
+            self._warn(record.breakable, error)
             return None
 
     def _warn(self, target: BreakableAsset | BreakablePiece, error: Exception) -> None:
@@ -480,8 +484,8 @@ class World:
         return self._motions[body, link]
 
     def _motion_found(self, body: int, link: int) -> Motion:
-        kept = self._watch.motion_before(body, link)
-        if link >= 0 or self._engine.jointed(body):
+        kept = self._activity.motion_before(body, link)
+        if link >= 0 or self._engine.is_articulated(body):
             return self._engine.link_motion(body, link) if kept is None else kept
         if self._engine.is_static(body):
             return self._engine.motion(body)
@@ -501,14 +505,14 @@ class World:
         if _differ(told[0], linear, 0.02 * self._least, 1e-3, told[0]):
             return told
         # Contacts tell less exactly of spin, the more so the more they change it.
-        arm = self._watch.records[body].reach if body in self._watch.records else 0.1
+        arm = self._activity.records[body].reach if body in self._activity.records else 0.1
         if _differ(told[1], angular, 0.1 * self._least / arm, 0.1, told[1], angular, self._engine.motion(body)[1]):
             angular = told[1]
         return linear, angular
 
-    def _all_touches(self) -> Touches:
+    def _all_touches(self) -> ContactForces:
         if self._touches is None:
-            self._touches = self._engine.touches()
+            self._touches = self._engine.contact_forces()
         return self._touches
 
     def _tied(self, body: int) -> bool:
@@ -518,13 +522,13 @@ class World:
 
     def _exchange(self, breaks: list[_Break]) -> list[FractureEvent]:
         """Put everything that the impacts reached back to before the step, and pieces in place of what broke."""
-        engine, watch, dt = self._engine, self._watch, self._dt
+        engine, activity, dt = self._engine, self._activity, self._dt
         start = perf_counter()
         ties = [(info[0], info[2]) for _, info in engine.constraints() if info[2] >= 0]
         broken = {one.record.body.id: one for one in breaks}
         reached = contact_island([*self._all_touches().bodies.tolist(), *ties], broken, engine.is_static)
         states = {
-            body: engine.state_before(body, self._motion_before(body, -1), watch.rates_before(body), dt)
+            body: engine.state_before(body, self._motion_before(body, -1), activity.joint_rates_before(body), dt)
             for body in reached
         }
         told = set()
@@ -532,14 +536,14 @@ class World:
             if body in broken:
                 continue
             engine.restore(state)
-            watch.restored(state)
+            activity.body_restored(state)
             self._spin.changed(body, state.motion[1])
-            record = watch.records.get(body)
+            record = activity.records.get(body)
             if record is not None:
-                told |= {(body, hit.other) for when, hit in record.hits if when >= self.time}
-                record.hits = [entry for entry in record.hits if entry[0] < self.time]
-                if record.tired[0] >= self.time:
-                    record.damage = record.tired[1]
+                told |= {(body, hit.other) for when, hit in record.recent_impacts if when >= self.time}
+                record.recent_impacts = [entry for entry in record.recent_impacts if entry[0] < self.time]
+                if record.damage_before[0] >= self.time:
+                    record.damage = record.damage_before[1]
         self._told = frozenset(told)
         rewinding = 1e3 * (perf_counter() - start)
         events = []
@@ -549,14 +553,14 @@ class World:
             events.append(self._replace(one, states[one.record.body.id]))
         self._parting = [one for one in self._parting if {body.id for body in one.bodies}.isdisjoint(reached)]
         others = [body for body in reached if body not in broken]
-        if not any(map(engine.jointed, others)):
+        if not any(map(engine.is_articulated, others)):
             start = perf_counter()
             self._parting.append(self._parting_of(breaks, events, others, states))
             breaks[0].timings["bodies"] += 1e3 * (perf_counter() - start)
         return events
 
     def _parting_of(
-        self, breaks: list[_Break], events: list[FractureEvent], others: list[int], states: dict[int, State]
+        self, breaks: list[_Break], events: list[FractureEvent], others: list[int], states: dict[int, BodyState]
     ) -> PenetrationGuard:
         """Of the pieces of some breaks, and what they shall live the step with."""
         pieces: list[Body] = []
@@ -568,7 +572,7 @@ class World:
             before.append(replace(body, mass=mass, moments=body.moments * mass / body.mass))
         rest = []
         for other in others:
-            rigid = self._engine.rigid(other, -1)
+            rigid = self._engine.rigid_body(other, -1)
             rest.append(Body(other, "", rigid.mass, np.zeros(3), np.eye(3), rigid.moments))
         known = [states[body.id] for body in (*before, *rest)]
         then = RigidStates.of([*before, *rest], [one.placement for one in known], [one.motion for one in known])
@@ -586,20 +590,20 @@ class World:
                 motions, one.until = None, 0.0
             if motions is not None:
                 for body, motion in zip(one.bodies, motions, strict=True):
-                    self._watch.changed(body.id, motion)
+                    self._activity.velocity_set(body.id, motion)
                     self._spin.changed(body.id, motion[1])
             if self.time >= one.until:
                 self._parting.remove(one)
 
-    def _replace(self, what: _Break, state: State) -> FractureEvent:
+    def _replace(self, what: _Break, state: BodyState) -> FractureEvent:
         """Swap a body for its pieces at the state given."""
         engine, record, fracture = self._engine, what.record, what.fracture
         start = perf_counter()
         parent = record.body
         pose = parent.pose(state.placement, state.motion)
-        surface = engine.surface(parent.id, *record.damping)
+        surface = engine.contact_properties(parent.id, *record.damping)
         ties = [tie for tie in engine.constraints() if parent.id in (tie[1][0], tie[1][2])]
-        solids, asset = fracture.pieces, getattr(record.target, "asset", record.target)
+        solids, asset = fracture.pieces, getattr(record.breakable, "asset", record.breakable)
         if self.decomposition == "coacd":
             solids = refined_now(asset, solids)
         # Somebody may have given the body another mass; a static one's pieces have what its material makes them.
@@ -609,9 +613,9 @@ class World:
         renamed = {
             tie[0]: self._rename(tie[0], transfer_constraint(engine, tie, parent, pieces, parts)) for tie in ties
         }
-        engine.remove(parent.id)  # after the pieces, so that none of them gets its id
-        self._watch.drop(parent.id)
-        self._watch.own.pop(parent.id, None)
+        engine.remove_body(parent.id)  # after the pieces, so that none of them gets its id
+        self._activity.forget(parent.id)
+        self._activity.tokens.pop(parent.id, None)
         children = tuple(piece.id for piece in pieces)
         immune = what.others | frozenset(children)
         generation = record.generation + 1
@@ -619,21 +623,21 @@ class World:
             self._forget(piece.id)
             self._pieces[piece.id] = piece
             self._damping[piece.id] = record.damping
-            self._watch.own[piece.id] = piece.token
+            self._activity.tokens[piece.id] = piece.token
             if generation < self.generations and len(solid.atoms) > 1:
-                fragment = record.target.breakable_piece(solid)
+                fragment = record.breakable.breakable_piece(solid)
                 if fragment.domain.share >= self.smallest:
                     bearable = fragment.bearable_impulse / LOAD_DURATION
                     watched = BodyRecord(piece, fragment, record.damping, fragment.reach, bearable, generation)
-                    watched.immune, watched.immune_until = immune, self.time + _AFTER
-                    self._watch.add(watched)
+                    watched.immune_to, watched.immune_until = immune, self.time + _AFTER
+                    self._activity.add(watched)
         self._pieces.pop(parent.id, None)
         self._damping.pop(parent.id, None)
         if self.decomposition == "background":
             self._refining.append(Refinement.begun(asset, solids, pieces, self.time + self.refine_after))
         self._spin.drop(parent.id)
         self._spin.add(pieces, state.motion[1])
-        energy = CrackEnergy(record.target.material.fracture_energy * fracture.crack_area)
+        energy = CrackEnergy(record.breakable.material.fracture_energy * fracture.crack_area)
         self._cooling.append(Dissipation(energy, pieces, self.time + DISSIPATION_TIME))
         timings = what.timings
         timings["bodies"] += 1e3 * (perf_counter() - start)
@@ -666,7 +670,7 @@ class World:
             one.energy.taken += taken
             if taken > 0.0:
                 for piece, motion in zip(one.pieces, motions, strict=True):
-                    self._watch.changed(piece.id, motion)
+                    self._activity.velocity_set(piece.id, motion)
                     self._spin.changed(piece.id, motion[1])
 
     def _refine(self) -> None:
@@ -683,27 +687,27 @@ class World:
     def _reshape(self, solid: Piece, old: Body, index: int) -> None:
         """The same piece, of the same id and motion, in another shape."""
         engine = self._engine
-        pose, surface = old.pose_now(engine), engine.surface(old.id, *self._damping[old.id])
+        pose, surface = old.pose_now(engine), engine.contact_properties(old.id, *self._damping[old.id])
         motion = engine.motion(old.id)
         ties = [tie for tie in engine.constraints() if old.id in (tie[1][0], tie[1][2])]
         for constraint, _ in ties:
-            engine.untie(constraint)
-        engine.remove(old.id)
+            engine.remove_constraint(constraint)
+        engine.remove_body(old.id)
         colors = [PIECE_COLOURS[index % len(PIECE_COLOURS)]] if self.visuals else None
         [body] = spawn(engine, [solid], pose, surface, colors)
         if body.id != old.id:  # the engine hands out the id that was freed last
             raise PhysicsError(f"piece {old.id} came back as {body.id}; use decomposition='baked'")
         for constraint, info in ties:
-            self._rename(constraint, engine.tie(info))
+            self._rename(constraint, engine.create_constraint(info))
         self._pieces[body.id] = body
         for cooling in self._cooling:
             cooling.pieces = [body if piece is old else piece for piece in cooling.pieces]
-        self._watch.own[body.id] = body.token
+        self._activity.tokens[body.id] = body.token
         self._spin.add([body], motion[1])
-        record = self._watch.records.get(body.id)
+        record = self._activity.records.get(body.id)
         if record is not None:
             record.body = body
-            self._watch.wake(record)
+            self._activity.wake(record)
 
     def _save(self) -> None:
         """Remove the smallest and stillest pieces while there are more than the budget allows."""
@@ -716,24 +720,24 @@ class World:
             return self._pieces[body].mass * (0.1 + float(np.linalg.norm(self._engine.motion(body)[0])))
 
         for body in sorted(self._pieces, key=liveliness)[:excess]:
-            self._engine.remove(body)
+            self._engine.remove_body(body)
             self._forget(body)
 
     # Who is there
 
     def _find(self, body: int) -> Body:
         self._forget_removed()
-        if body in self._watch.records:
-            return self._watch.records[body].body
+        if body in self._activity.records:
+            return self._activity.records[body].body
         if body in self._pieces:
             return self._pieces[body]
         raise PhysicsError(
-            f"body {body} is not in this world; it has {sorted({*self._watch.records, *self._pieces}) or 'none'}"
+            f"body {body} is not in this world; it has {sorted({*self._activity.records, *self._pieces}) or 'none'}"
         )
 
     def _forget(self, body: int) -> None:
-        self._watch.drop(body)
-        self._watch.own.pop(body, None)
+        self._activity.forget(body)
+        self._activity.tokens.pop(body, None)
         self._spin.drop(body)
         self._damping.pop(body, None)
         self._pieces.pop(body, None)
@@ -741,7 +745,7 @@ class World:
     def _forget_removed(self) -> None:
         """Drop the records of bodies that somebody else took out of the engine."""
         self._engine.require_connection()
-        bodies = {body: record.body for body, record in self._watch.records.items()} | self._pieces
+        bodies = {body: record.body for body, record in self._activity.records.items()} | self._pieces
         for body, known in bodies.items():
             if not self._engine.is_marked(body, known.token):
                 self._forget(body)

@@ -432,7 +432,7 @@ def test_the_corners_of_a_flat_landing_act_together(client):
     world.step()
     assert len(hits) >= 4
     assert sum(hit.impulse.magnitude for hit in hits) == pytest.approx(asset.mass * np.sqrt(2 * 9.81 * 0.5), rel=0.15)
-    acting = world._watch.records[hits[0].body].hits
+    acting = world._activity.records[hits[0].body].recent_impacts
     assert len(acting) >= 4
 
 
@@ -448,7 +448,7 @@ def test_pieces_break_again_down_to_the_limits(client, shipped):
         event = world.fracture(world.add(shipped), impulse)
         again = 0
         for child, piece in zip(event.children, event.fracture.pieces, strict=True):
-            if child not in world._watch.records:
+            if child not in world._activity.records:
                 with pytest.raises(fracsim.PhysicsError, match="breaks no more"):
                     world.fracture(child, impulse)
                 continue

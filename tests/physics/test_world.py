@@ -528,7 +528,7 @@ def test_a_model_that_fails_when_it_is_made_ready_is_one_that_fails(client):
 def test_a_weak_hit_come_again_does_not_hide_a_strong_one_beside_it(client):
     world = fracsim.World(client)
     body = world.add(SlabBox(toughness=5.0))
-    record = world._watch.records[body]
+    record = world._activity.records[body]
 
     def hit(size, x):
         impulse = fracsim.Impulse((x, 0.5, 1.0), (0, 0, -1), size)
@@ -536,7 +536,7 @@ def test_a_weak_hit_come_again_does_not_hide_a_strong_one_beside_it(client):
 
     weak, strong = hit(1.0, 0.1), hit(10.0, 0.9)
     for hits in ([strong, weak], [weak, strong]):
-        record.hits = [(-0.001, weak)]
+        record.recent_impacts = [(-0.001, weak)]
         assert world._try(record, hits, 0.0) is not None
 
 
