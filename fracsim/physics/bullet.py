@@ -139,8 +139,6 @@ class Engine:
     def state_before(
         self, body: int, motion: Motion, rates: Sequence[tuple[float, ...]] | None, dt: float
     ) -> BodyState:
-        self, body: int, motion: Motion, rates: Sequence[tuple[float, ...]] | None, dt: float
-    ) -> BodyState:
         """The state of a body before the last step, given how it moved then; rates: of its joints, None keeping what
         they are."""
         place = self.placement_before(body, dt)
