@@ -456,7 +456,7 @@ def test_elastic_stress_is_kept_and_gone_on_from_but_not_made_again(surface, tmp
     pytest.importorskip("wildmeshing")
     monkeypatch.setattr("fracsim.simulators.elastic_fem.EDGE", 0.15)  # coarse tetrahedra
     path = tmp_path / "elastic.h5"
-    options = replace(SMALL, simulator="elastic")
+    options = replace(SMALL, name="elastic")
     make_dataset(path, surface, 500, 0, options)
     with Dataset(path) as dataset:
         first = dataset.samples()
