@@ -9,7 +9,6 @@ import matplotlib.image
 import numpy as np
 import pytest
 import trimesh
-from conftest import QUICK
 
 import fracsim
 from fracsim.cli.main import main
@@ -49,8 +48,8 @@ def test_a_mesh_of_eight_vertices_is_refined_until_it_can_hold_a_field(crate):
     assert crate.metadata["test"]["ari_of_the_true_field"] > 0.95
 
 
-def test_one_seed_gives_one_asset(slab, slab_mesh):
-    again = fracsim.bake(slab_mesh, material="glass", seed=3, options=QUICK)
+def test_one_seed_gives_one_asset(slab, slab_mesh, quick):
+    again = fracsim.bake(slab_mesh, material="glass", seed=3, options=quick)
     for name in AssetArrays.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(slab.arrays, name), getattr(again.arrays, name))
     for mine, other in zip(vars(slab.model).values(), vars(again.model).values(), strict=True):
@@ -166,9 +165,9 @@ def test_an_interrupted_bake_leaves_no_file(tmp_path, monkeypatch, capsys):
     assert [entry.name for entry in tmp_path.iterdir()] == ["box.obj"]
 
 
-def test_too_few_modes_to_part_anything_is_a_bake_error(slab_mesh):
+def test_too_few_modes_to_part_anything_is_a_bake_error(slab_mesh, quick):
     with pytest.raises(fracsim.BakeError, match="no fracture mode parts it"):
-        fracsim.bake(slab_mesh, options=dataclasses.replace(QUICK, modes=0))
+        fracsim.bake(slab_mesh, options=dataclasses.replace(quick, modes=0))
 
 
 # The rest of the command line
