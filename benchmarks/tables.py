@@ -7,7 +7,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 DOCS = HERE.parent / "docs"
-PAGES = (HERE.parent / "README.md", DOCS / "simulator.md", DOCS / "results.md", DOCS / "runtime.md")
+PAGES = (HERE.parent / "README.md", DOCS / "simulators.md", DOCS / "results.md", DOCS / "runtime.md")
 BLOCK = re.compile(r"(<!-- results/(\w+)\.md -->\n).*?(<!-- end -->)", re.DOTALL)
 
 

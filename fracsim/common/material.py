@@ -60,7 +60,7 @@ class Material:
         return asdict(self)
 
 
-# Small objects as one meets them, not the best or worst of their kind; docs/simulator.md gives the source of every
+# Small objects as one meets them, not the best or worst of their kind; docs/simulators.md gives the source of every
 # number. Sound speeds follow from E and ν, c² = E (1 - ν) / (ρ (1 + ν) (1 - 2ν)), fracture energies from the fracture
 # toughness, G = K² (1 - ν²) / E, where no measured one is cited.
 PRESETS = {
