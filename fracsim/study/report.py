@@ -247,7 +247,7 @@ def _chart(rows: list[Row], told: list[Row]) -> Figure:
         axes.plot(*place(row), marks[row["mesh"]], color=colours[row["model"]], ms=5, alpha=0.75, mew=0)
     for row in told:
         axes.plot(*place(row), marks[row["mesh"]], mfc="none", color="black", ms=6, mew=0.9)
-    points = sorted(place(r) for r in measured if r["kind"] not in ("modes", "nearest"))
+    points = sorted(place(r) for r in measured if r["kind"] not in ("precomputed", "nearest"))
     front: list[tuple[float, float]] = []
     for point in points:
         if not front or point[1] < front[-1][1]:

@@ -26,7 +26,7 @@ from fracsim.solids.geodesics import CAP
 from fracsim.solids.surface import Surface, read_surface, refine
 from fracsim.solids.walls import facing_vertices
 
-MESHES = Path(__file__).parent.parent / "meshes"
+MESHES = Path(__file__).parents[2] / "meshes"
 # Within reach of what the fields below hold, so that each method has something to join and something to leave.
 PARAMETERS = {
     "watershed": st.floats(0.0, 0.35),
