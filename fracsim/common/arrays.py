@@ -1,4 +1,4 @@
-"""Types of numpy arrays by their dtype."""
+"""Types of NumPy arrays by their dtype, for annotations in every room; shapes stand in the docstrings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ FloatArray = npt.NDArray[np.float64]
 AnyFloatArray = npt.NDArray[np.floating[Any]]  # of any precision
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+Float16Array = npt.NDArray[np.float16]
 Float32Array = npt.NDArray[np.float32]
 Int32Array = npt.NDArray[np.int32]
 ByteArray = npt.NDArray[np.uint8]

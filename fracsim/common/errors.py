@@ -1,9 +1,11 @@
-"""Every error that fracsim raises on purpose; nothing else lives here.
+"""Every error that fracsim raises on purpose; any room may raise them, and nothing else lives here.
 
 A message names the file or argument, the fault, and the way out.
 """
 
 from __future__ import annotations
+
+from .installation import install_command
 
 
 class FracsimError(Exception):
@@ -51,9 +53,28 @@ class RenderError(FracsimError):
 
 
 class MissingExtraError(FracsimError, ImportError):
-    """An optional dependency is not installed; the message names the extra that brings it."""
+    """An optional dependency is not installed; the message holds the command that installs it.
+
+    Parameters
+    ----------
+    module : str
+        The module that could not be imported.
+    extra : str
+        The extra of fracsim that brings it.
+
+    Attributes
+    ----------
+    module : str
+        The module that could not be imported.
+    extra : str
+        The extra of fracsim that brings it.
+    """
 
     def __init__(self, module: str, extra: str) -> None:
-        super().__init__(f"{module} is not installed; it comes with: pip install 'fracsim[{extra}]'")
+        super().__init__(f"{module} is not installed; it comes with: {install_command(extra)}")
         self.module = module
         self.extra = extra
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        """Pickle by the two names, so that a worker's error reaches its parent."""
+        return type(self), (self.module, self.extra)

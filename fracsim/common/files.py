@@ -1,4 +1,4 @@
-"""TODO common.files."""
+"""Files that are written whole or not at all, and the headers of safetensors files; for every room that saves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,20 @@ from .errors import AssetError
 
 
 def write_beside(path: Path, data: bytes) -> None:
-    """Write a file under another name in the same folder, then rename it: all of it, or nothing."""
+    """Write a file under another name in the same folder, then rename it, so that no half of it is ever seen.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file shall be; one that is there is replaced.
+    data : bytes
+        Its content.
+
+    Raises
+    ------
+    AssetError
+        If the folder does not exist or cannot be written to.
+    """
     if not path.parent.is_dir():
         raise AssetError(f"{path}: the folder {path.parent} does not exist")
     try:
@@ -33,14 +46,47 @@ def write_beside(path: Path, data: bytes) -> None:
 
 
 def header_of(data: bytes, key: str) -> dict[str, Any]:
-    """What is told under ``key`` in the metadata of a safetensors file that has been found to be one. Raises KeyError,
-    ValueError or TypeError where there is nothing of the kind."""
+    """Read fracsim's own header out of a safetensors file that could be loaded.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    key : str
+        The entry of the file's metadata that holds the header, as JSON.
+
+    Returns
+    -------
+    dict
+        The header.
+
+    Raises
+    ------
+    KeyError
+        If there is no such entry.
+    ValueError
+        If the entry is no JSON object.
+    """
     length = int.from_bytes(data[:8], "little")
-    return json.loads(json.loads(data[8 : 8 + length])["__metadata__"][key])
+    header = json.loads(json.loads(data[8 : 8 + length])["__metadata__"][key])
+    if not isinstance(header, dict):
+        raise ValueError(f"{key} holds no JSON object")
+    return header
 
 
 def compact(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Integers in no more bits than they need; everything else as it is."""
+    """Give integers the smallest of 16, 32 or 64 bits that holds them all; leave other arrays as they are.
+
+    Parameters
+    ----------
+    values : ndarray
+        Of any shape and dtype.
+
+    Returns
+    -------
+    ndarray
+        The same values, contiguous.
+    """
     if values.dtype.kind == "i":
         for small in (np.int16, np.int32):
             if values.size == 0 or max(values.max(), -values.min()) <= np.iinfo(small).max:

@@ -1,4 +1,4 @@
-"""Impulses: what a contact hands to the fracture model."""
+"""Impulses: what a contact hands to the fracture model; every room may make and read them."""
 
 from __future__ import annotations
 
@@ -8,31 +8,43 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import FloatArray
+from .checks import finite_vector, is_number
 from .errors import ImpulseError
-
-
-def _vector(value: object, name: str) -> FloatArray:
-    try:
-        vector = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ImpulseError(f"impulse {name} must be three numbers, got {value!r}") from error
-    if vector.shape != (3,):
-        raise ImpulseError(f"impulse {name} must have shape (3,), got {vector.shape}")
-    if not np.isfinite(vector).all():
-        raise ImpulseError(f"impulse {name} must be finite, got {vector.tolist()}")
-    vector.setflags(write=False)
-    return vector
 
 
 @dataclass(frozen=True, eq=False)
 class Impulse:
     """An impulse on an asset, in the asset's own frame.
 
-    point: (3,) m, where it acts; a query uses the nearest point of the surface.
-    direction: (3,), the way the body is pushed; normalised here.
-    magnitude: N·s, at least 0.
+    Parameters
+    ----------
+    point : array_like, shape (3,)
+        m, where it acts.
+    direction : array_like, shape (3,)
+        Where it pushes the body; of any length but zero.
+    magnitude : float
+        N·s, at least 0.
 
-    Raises ImpulseError on a wrong shape, a zero direction, or a value that is not finite.
+    Attributes
+    ----------
+    point : ndarray of float64, shape (3,)
+        m, where it acts; an asset takes the nearest point of its surface. Read-only.
+    direction : ndarray of float64, shape (3,)
+        Where it pushes the body, as a unit vector. Read-only.
+    magnitude : float
+        N·s.
+
+    Raises
+    ------
+    ImpulseError
+        If a shape is wrong, the direction is zero, or a value is not finite.
+
+    Examples
+    --------
+    >>> import fracsim
+    >>> impulse = fracsim.Impulse(point=(0.0, 0.0, 0.1), direction=(0.0, 0.0, -2.0), magnitude=0.5)
+    >>> impulse.direction.tolist()
+    [0.0, 0.0, -1.0]
     """
 
     point: FloatArray
@@ -40,26 +52,40 @@ class Impulse:
     magnitude: float
 
     def __post_init__(self) -> None:
-        direction = _vector(self.direction, "direction")
+        point = finite_vector(self.point, "impulse point", 3, ImpulseError)
+        direction = finite_vector(self.direction, "impulse direction", 3, ImpulseError)
         largest = float(np.abs(direction).max())
         if largest == 0.0:
-            raise ImpulseError("impulse direction is zero; give the way the body is pushed")
+            raise ImpulseError("impulse direction is zero; give the direction in which the body is pushed")
         direction = direction / largest  # first, so that the norm neither overflows nor vanishes
         direction = direction / np.linalg.norm(direction)
-        direction.setflags(write=False)
-        try:
-            magnitude = float(self.magnitude)
-        except (TypeError, ValueError) as error:
-            raise ImpulseError(f"impulse magnitude must be a number, got {self.magnitude!r}") from error
-        if not (np.isfinite(magnitude) and magnitude >= 0.0):
-            raise ImpulseError(f"impulse magnitude must be finite and at least 0 N·s, got {magnitude}")
-        object.__setattr__(self, "point", _vector(self.point, "point"))
+        for vector in (point, direction):
+            vector.setflags(write=False)
+        if not is_number(self.magnitude) or self.magnitude < 0.0:
+            raise ImpulseError(f"impulse magnitude must be finite and at least 0 N·s, got {self.magnitude!r}")
+        object.__setattr__(self, "point", point)
         object.__setattr__(self, "direction", direction)
-        object.__setattr__(self, "magnitude", magnitude)
+        object.__setattr__(self, "magnitude", float(self.magnitude))
 
 
 def as_impulses(impulses: Impulse | Sequence[Impulse]) -> tuple[Impulse, ...]:
-    """One impulse, or several acting together, as a non-empty tuple."""
+    """Read one impulse, or several that act together.
+
+    Parameters
+    ----------
+    impulses : Impulse or sequence of Impulse
+        What a user passed in.
+
+    Returns
+    -------
+    tuple of Impulse
+        At least one.
+
+    Raises
+    ------
+    ImpulseError
+        If there is none, or something else is among them.
+    """
     result = (impulses,) if isinstance(impulses, Impulse) else tuple(impulses)
     if not result:
         raise ImpulseError("no impulse given; pass one Impulse or a non-empty sequence of them")

@@ -1,17 +1,16 @@
-"""Materials: the few numbers that turn an impulse into a severity."""
+"""Materials: the few numbers that turn an impulse into a severity; every room may read them."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 
-import numpy as np
-
+from .checks import is_number
 from .errors import MaterialError
 
-# The diffused velocity field of fracture_modes.impact_field is no elastic wave front, so its jumps need one
-# dimensionless gauge before they can be held against the critical velocity: an interface breaks when its
-# effective jump of velocity reaches GAUGE * critical_velocity. It is set by everyday experience, that a 0.1 m
-# ceramic mug survives a fall from 0.2 m and breaks from 1 m; benchmarks/calibration.py measures it.
+# The diffused velocity field of simulators.diffusion is no elastic wave front, so its jumps need one dimensionless
+# gauge before they can be held against the critical velocity: an interface breaks when its effective jump of velocity
+# reaches GAUGE * critical_velocity. It is set by everyday experience, that a 0.1 m ceramic mug survives a fall from
+# 0.2 m and breaks from 1 m; benchmarks/calibration.py measures it.
 GAUGE = 0.24
 
 
@@ -19,8 +18,34 @@ GAUGE = 0.24
 class Material:
     """An isotropic brittle material.
 
-    density: kg/m³. tensile_strength, compressive_strength: Pa. sound_speed: m/s, longitudinal.
-    fracture_energy: J/m², to open a unit of crack area. restitution, friction: of contacts with it.
+    Attributes
+    ----------
+    name : str
+        What messages call it.
+    density : float
+        kg/m³, above 0.
+    tensile_strength, compressive_strength : float
+        Pa, above 0.
+    sound_speed : float
+        m/s, of longitudinal waves; above 0.
+    fracture_energy : float
+        J/m², that a unit of crack area takes to open; above 0.
+    restitution : float
+        Of a contact with it, from 0 to 1.
+    friction : float
+        Coulomb's coefficient of a contact with it, at least 0.
+
+    Raises
+    ------
+    MaterialError
+        If a property lies outside its range.
+
+    Examples
+    --------
+    >>> import fracsim
+    >>> brick = fracsim.Material("brick", 1900.0, 2.5e6, 30e6, 3000.0, 50.0)
+    >>> round(brick.critical_velocity, 3)
+    0.439
     """
 
     name: str
@@ -34,29 +59,37 @@ class Material:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
             if field.name == "name":
                 continue
-            allowed = (0.0 if field.name in ("restitution", "friction") else np.nextafter(0, 1), np.inf)
-            try:
-                valid = bool(np.isfinite(value)) and allowed[0] <= float(value) < allowed[1]
-            except (TypeError, ValueError):
-                valid = False
+            value = getattr(self, field.name)
+            if field.name == "restitution":
+                valid, allowed = is_number(value) and 0.0 <= value <= 1.0, "between 0 and 1"
+            elif field.name == "friction":
+                valid, allowed = is_number(value) and value >= 0.0, "finite and at least 0"
+            else:
+                valid, allowed = is_number(value) and value > 0.0, "finite and above 0"
             if not valid:
-                raise MaterialError(f"material {self.name!r}: {field.name} must be positive, got {value!r}")
+                raise MaterialError(f"material {self.name!r}: {field.name} must be {allowed}, got {value!r}")
             object.__setattr__(self, field.name, float(value))
 
     @property
     def critical_velocity(self) -> float:
-        """m/s: the jump of velocity at which an elastic wave carries the tensile strength, σ = ρ c Δv."""
+        """m/s, the jump of velocity at which an elastic wave carries the tensile strength: σ = ρ c Δv."""
         return self.tensile_strength / (self.density * self.sound_speed)
 
     @property
     def breaking_velocity(self) -> float:
-        """m/s: the jump of the diffused velocity field that breaks an interface."""
+        """m/s, the jump of the diffused velocity field that breaks an interface."""
         return GAUGE * self.critical_velocity
 
     def to_dict(self) -> dict[str, float | str]:
+        """Return the properties by name, as ``Material(**...)`` takes them.
+
+        Returns
+        -------
+        dict
+            Of str and float.
+        """
         return asdict(self)
 
 
@@ -76,12 +109,26 @@ PRESETS = {
 
 
 def as_material(material: str | Material) -> Material:
-    """A preset by name, or the material itself; MaterialError lists the presets when there is none."""
+    """Look up a preset by its name; a material is returned as it is.
+
+    Parameters
+    ----------
+    material : str or Material
+        "ceramic", "glass", "ice", "plaster", "stone", or a material of your own.
+
+    Returns
+    -------
+    Material
+        The material.
+
+    Raises
+    ------
+    MaterialError
+        If there is no preset of that name; the message lists them.
+    """
     if isinstance(material, Material):
         return material
-    try:
-        return PRESETS[material]
-    except (KeyError, TypeError):
-        raise MaterialError(
-            f"unknown material {material!r}; use {', '.join(sorted(PRESETS))}, or a fracsim.Material"
-        ) from None
+    preset = PRESETS.get(material) if isinstance(material, str) else None
+    if preset is None:
+        raise MaterialError(f"unknown material {material!r}; use {', '.join(sorted(PRESETS))}, or a fracsim.Material")
+    return preset

@@ -1,4 +1,4 @@
-"""Long work, stage by stage: a progress bar and a clock for each. Offline only."""
+"""Long work, stage by stage: a progress bar and a clock for each. Only offline rooms use it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,21 @@ except ImportError as error:
 
 
 class Stages:
-    """Call it with a stage's name and the share done; a new name ends the stage before. A context manager.
+    """The stages of a long piece of work: a bar on standard error for each, and how long it took.
 
-    seconds: how long each finished stage took, in order. visible: whether bars appear, on standard error.
+    A context manager. Call it with a stage's name and the share of it that is done; a new name ends the stage before.
+
+    Parameters
+    ----------
+    visible : bool
+        Whether bars appear.
+
+    Attributes
+    ----------
+    visible : bool
+        Whether bars appear.
+    seconds : dict of str to float
+        s, how long each finished stage took, in order.
     """
 
     def __init__(self, visible: bool) -> None:
@@ -25,6 +37,15 @@ class Stages:
         self._name = ""
 
     def __call__(self, name: str, share: float = 0.0) -> None:
+        """Move the bar of a stage.
+
+        Parameters
+        ----------
+        name : str
+            The stage; another one than before begins.
+        share : float
+            How much of it is done, from 0 to 1.
+        """
         if name != self._name:
             self._end(whole=True)
             self._name, self._begin = name, time.perf_counter()
@@ -37,7 +58,18 @@ class Stages:
         self._bar.update(round(100 * share) - self._bar.n)
 
     def ticker(self, name: str) -> Callable[[float], None]:
-        """Begin a stage; the result is called with the share done."""
+        """Begin a stage that reports its own progress.
+
+        Parameters
+        ----------
+        name : str
+            The stage.
+
+        Returns
+        -------
+        callable
+            To be called with the share done, from 0 to 1.
+        """
         self(name)
         return lambda share: self(name, share)
 
