@@ -1,4 +1,4 @@
-"""TODO geometry.complex."""
+"""A solid as a conforming complex of cells; every room above uses it to measure cells and to read off surfaces."""
 
 from __future__ import annotations
 
@@ -8,11 +8,26 @@ import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 
-Hull = tuple[FloatArray, IntArray]
+Hull = tuple[FloatArray, IntArray]  # vertices (n, 3) and faces (k, 3) of a convex part
 
 
 def vertex_cells(triangles: IntArray, sides: IntArray, count: int) -> IntArray:
-    """(P,) the cell behind the outer triangles at each of a complex's ``count`` points, -1 where there is none."""
+    """Find the cell behind the outer triangles at each point of a complex.
+
+    Parameters
+    ----------
+    triangles : ndarray of int64, shape (M, 3)
+        Indices of points.
+    sides : ndarray of int64, shape (M, 2)
+        The cells behind and before each triangle; -1 is outside.
+    count : int
+        P, the number of points.
+
+    Returns
+    -------
+    ndarray of int64, shape (P,)
+        The cell of each point; -1 for points that lie inside.
+    """
     result = np.full(count, -1)
     outer = sides[:, 1] < 0
     result[triangles[outer]] = sides[outer, :1]
@@ -20,11 +35,19 @@ def vertex_cells(triangles: IntArray, sides: IntArray, count: int) -> IntArray:
 
 
 @dataclass(frozen=True, eq=False)
-class AtomComplex:
-    """The asset's atoms as one conforming complex, from which any grouping of them is read off.
+class CellComplex:
+    """A solid divided into cells, whose triangles meet edge to edge; any group of cells is read off it.
 
-    points: (P, 3), the first V being the surface's vertices. triangles: (M, 3). sides: (M, 2), the atoms
-    behind and before each triangle; -1 is outside. Lengths are in units of the largest extent.
+    The cells are those that a solid was cut into, or the atoms of an asset, which are unions of them.
+
+    Attributes
+    ----------
+    points : ndarray of float64, shape (P, 3)
+        The first V are the vertices of the surface, in order.
+    triangles : ndarray of int64, shape (M, 3)
+        Indices of points. The normal points from the cell behind to the cell before, so outer triangles face outward.
+    sides : ndarray of int64, shape (M, 2)
+        The cells behind and before each triangle; -1 is outside.
     """
 
     points: FloatArray
@@ -33,30 +56,72 @@ class AtomComplex:
 
     @property
     def count(self) -> int:
+        """C, the number of cells."""
         return int(self.sides.max()) + 1
 
+    def vertex_cells(self, vertices: int) -> IntArray:
+        """Find the cell on which each vertex of the surface lies.
+
+        Parameters
+        ----------
+        vertices : int
+            V, how many of the points are vertices of the surface.
+
+        Returns
+        -------
+        ndarray of int64, shape (V,)
+            The cell of each vertex.
+        """
+        return vertex_cells(self.triangles, self.sides, len(self.points))[:vertices]
+
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Per atom ∫1 (A,), ∫x (A, 3) and ∫xxᵀ (A, 3, 3), exact for polyhedra (divergence theorem)."""
+        """Integrate over every cell; exact for polyhedra.
+
+        Returns
+        -------
+        volumes : ndarray of float64, shape (C,)
+            ∫ 1.
+        first : ndarray of float64, shape (C, 3)
+            ∫ x.
+        second : ndarray of float64, shape (C, 3, 3)
+            ∫ x xᵀ.
+
+        Notes
+        -----
+        By the divergence theorem: the signed sum over the tetrahedra that the triangles span with the origin.
+        """
         count = self.count
         volume, first, second = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
         for side, sign in ((0, 1.0), (1, -1.0)):
             rows = np.flatnonzero(self.sides[:, side] >= 0)
-            atom = self.sides[rows, side]
+            cell = self.sides[rows, side]
             corner = self.points[self.triangles[rows]]
             weight = sign * np.linalg.det(corner) / 6
             total = corner.sum(axis=1)
-            np.add.at(volume, atom, weight)
-            np.add.at(first, atom, weight[:, None] * total / 4)
+            np.add.at(volume, cell, weight)
+            np.add.at(first, cell, weight[:, None] * total / 4)
             outer = np.einsum("nki,nkj->nij", corner, corner) + np.einsum("ni,nj->nij", total, total)
-            np.add.at(second, atom, weight[:, None, None] * outer / 20)
+            np.add.at(second, cell, weight[:, None, None] * outer / 20)
         return volume, first, second
 
     def surface(self, chosen: BoolArray) -> tuple[FloatArray, IntArray, BoolArray]:
-        """The boundary of a group of atoms: vertices (N, 3), faces (M, 3), and which are the asset's surface.
+        """Read off the boundary of a group of cells, as a watertight mesh.
 
-        chosen: (A,), the atoms that belong to it.
+        Parameters
+        ----------
+        chosen : ndarray of bool, shape (C,)
+            The cells that belong to the group.
+
+        Returns
+        -------
+        vertices : ndarray of float64, shape (N, 3)
+            Its vertices.
+        faces : ndarray of int64, shape (K, 3)
+            Its faces, outward.
+        outer : ndarray of bool, shape (K,)
+            Which faces lie on the surface of the whole; the others border on cells that are not chosen.
         """
-        inside = np.append(chosen, False)[self.sides]  # outside is atom -1, hence the appended one
+        inside = np.append(chosen, False)[self.sides]  # outside is cell -1, hence the appended one
         back, front = inside[:, 0] & ~inside[:, 1], inside[:, 1] & ~inside[:, 0]
         faces = np.vstack([self.triangles[back], self.triangles[front][:, ::-1]])
         skin = np.concatenate([self.sides[back, 1] < 0, np.zeros(int(front.sum()), dtype=bool)])
@@ -67,10 +132,24 @@ class AtomComplex:
 def separate_pinched_edges(
     points: FloatArray, faces: IntArray, skin: BoolArray
 ) -> tuple[FloatArray, IntArray, BoolArray]:
-    """Make every edge one of exactly two faces.
+    """Make every edge of a closed mesh one of exactly two faces, without a change of shape.
 
-    Atoms of one piece may meet along an edge only, which then has four faces. Each of its two wedges gets a
-    point of its own on that edge, at different places, so that they share no edge and no shape changes.
+    Cells of one group may meet along an edge only, which then has four faces. Each of its two wedges gets a point of
+    its own on that edge, at different places, so that they share no edge.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (N, 3)
+        The vertices.
+    faces : ndarray of int64, shape (K, 3)
+        The faces; every edge has an even number of them.
+    skin : ndarray of bool, shape (K,)
+        A flag of each face, which the faces that it is split into keep.
+
+    Returns
+    -------
+    points, faces, skin : tuple of ndarray
+        The same mesh with more vertices and faces.
     """
     while True:
         start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()

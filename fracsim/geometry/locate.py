@@ -1,4 +1,4 @@
-"""TODO geometry.locate."""
+"""The nearest points of triangles; fracture asks for them once an impulse."""
 
 from __future__ import annotations
 
@@ -8,7 +8,30 @@ from ..common.arrays import FloatArray
 
 
 def closest_on_triangles(points: FloatArray, triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Nearest points on triangles: barycentric coordinates (..., 3) and squared distances (...)."""
+    """Find the nearest point of each of many triangles.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (..., 3)
+        Where to measure from.
+    triangles : ndarray of float64, shape (..., 3, 3)
+        The corners of a triangle for each point; the leading axes broadcast.
+
+    Returns
+    -------
+    barycentric : ndarray of float64, shape (..., 3)
+        The nearest point of the triangle, in barycentric coordinates.
+    squared : ndarray of float64, shape (...)
+        The squared distance to it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> barycentric, squared = closest_on_triangles(np.array([2.0, 0.0, 0.0]), corners)
+    >>> barycentric.tolist(), float(squared)
+    ([0.0, 1.0, 0.0], 1.0)
+    """
     a, b, c = np.moveaxis(triangles, -2, 0)
     u, v, w = b - a, c - a, points - a
     uu, uv, vv = (np.einsum("...i,...i->...", x, y) for x, y in ((u, u), (u, v), (v, v)))

@@ -1,4 +1,4 @@
-"""Pieces of random groupings: watertight, however their atoms touch."""
+"""Surfaces and moments of random groups of cells: watertight, however the cells touch."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fracsim.geometry.complex import AtomComplex
+from fracsim.geometry.complex import CellComplex
 from fracsim.solids.cut import cut_lattice
 from fracsim.solids.polygons import coarsen
 from fracsim.solids.surface import read_surface
@@ -18,7 +18,7 @@ from fracsim.solids.surface import read_surface
 def cells():
     surface = read_surface(trimesh.creation.icosphere(2))
     solid = coarsen(cut_lattice(surface, 300, np.random.default_rng(0)), surface)
-    return AtomComplex(solid.points, solid.triangles, solid.sides), solid.volumes
+    return CellComplex(solid.points, solid.triangles, solid.sides), solid.volumes
 
 
 @settings(max_examples=40, deadline=None)
