@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 from udf import CELLS, FRACTURES, MESHES, RESULTS, SEED, fractures
 
-from fracsim.geometry.complex import AtomComplex
+from fracsim.geometry.complex import CellComplex
 from fracsim.simulators.modal import ModalSimulator, modal_simulator
 from fracsim.solids.geodesics import crack_segments
 from fracsim.solids.solid import Solid, surface_cells
@@ -47,7 +47,7 @@ def additivity(truth: ModalSimulator) -> dict[str, float]:
     area = 0.5 * np.linalg.norm(np.cross(q - p, r - p), axis=1)
     per_face = np.bincount(parts.source[outer], area, minlength=len(mesh.faces))
     # Volumes again, from the closed surfaces that pieces are read off.
-    volumes, _, _ = AtomComplex(parts.points, parts.triangles, parts.sides).moments()
+    volumes, _, _ = CellComplex(parts.points, parts.triangles, parts.sides).moments()
     return {
         "volume": float(abs(parts.volumes.sum() / mesh.volume - 1)),
         "volume_of_surfaces": float(abs(volumes.sum() / mesh.volume - 1)),
@@ -75,7 +75,7 @@ def containment(truth: ModalSimulator) -> dict[str, float]:
     parts, mesh = truth.cells, truth.surface.trimesh
     points = truth.surface.vertices - INWARD * mesh.vertex_normals  # weighted by angle
     label = surface_cells(parts, len(points))
-    complex_ = AtomComplex(parts.points, parts.triangles, parts.sides)
+    complex_ = CellComplex(parts.points, parts.triangles, parts.sides)
     holders = np.zeros(len(points), dtype=np.int64)
     right = np.zeros(len(points), dtype=bool)
     for part in range(len(parts.volumes)):

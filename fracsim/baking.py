@@ -16,7 +16,7 @@ from .common.progress import Stages
 from .data.samples import Samples, sample
 from .fracture.arrays import AssetArrays, SimulatorRecord
 from .fracture.asset import BreakableAsset
-from .geometry.complex import AtomComplex
+from .geometry.complex import CellComplex
 from .learning.asset_figures import evaluate_asset
 from .learning.atoms import Atoms, atoms_for, observe_fractures
 from .learning.body import BodyGeometry
@@ -118,7 +118,7 @@ def bake(
         samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
         tick = stage.ticker("training")
         model, figures = FieldModel.fit(body, samples, options.model or model_for(kind), seed, Run(progress=tick))
-        complex_ = AtomComplex(solid.points, solid.triangles, solid.sides)
+        complex_ = CellComplex(solid.points, solid.triangles, solid.sides)
         convex = convex_arrays(
             complex_, (surface.vertices, surface.faces), interfaces.pairs, interfaces.normals, stage.ticker
         )

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..common.arrays import FloatArray, IntArray
-from ..geometry.complex import AtomComplex, vertex_cells
+from ..geometry.complex import CellComplex, vertex_cells
 from .atom_watershed import AtomWatershed
 from .pieces import ConvexParts
 from .rule import Interfaces, weakest_cut
@@ -49,8 +49,8 @@ class AssetArrays:
     # What follows from them, worked out once and shared by all sizes and materials of an asset
 
     @cached_property
-    def complex(self) -> AtomComplex:
-        return AtomComplex(self.points, self.triangles, self.sides)
+    def complex(self) -> CellComplex:
+        return CellComplex(self.points, self.triangles, self.sides)
 
     @cached_property
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.arrays import FloatArray, IntArray
 from ..common.errors import MissingExtraError
-from ..geometry.complex import AtomComplex, Hull
+from ..geometry.complex import CellComplex, Hull
 from .convex_partition import GAP, PRICE, ConvexPartition
 from .hulls import Mesh, as_manifold, coacd_parts, covering, hull_faces, pack, thin_hull
 
@@ -71,7 +71,7 @@ def separate(surfaces: Sequence[Mesh], pairs: IntArray, normals: FloatArray, wor
 
 
 def convex_arrays(
-    complex_: AtomComplex,
+    complex_: CellComplex,
     whole: Mesh,
     pairs: IntArray,
     normals: FloatArray,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fracsim.common.errors import BakeError
-from fracsim.geometry.complex import AtomComplex
+from fracsim.geometry.complex import CellComplex
 from fracsim.solids.cut import cut_lattice
 from fracsim.solids.lattice import lattice_spacing
 from fracsim.solids.polygons import coarsen
@@ -32,7 +32,7 @@ def test_cells_add_up_to_the_body_and_are_watertight(shape, seed):
     solid = cut_lattice(surface, 300, np.random.default_rng(seed))
     assert solid.volumes.sum() == pytest.approx(surface.trimesh.volume, rel=1e-12)
     assert (solid.volumes > 0).all()
-    cells = AtomComplex(solid.points, solid.triangles, solid.sides)
+    cells = CellComplex(solid.points, solid.triangles, solid.sides)
     for cell in np.random.default_rng(seed).permutation(cells.count)[:40]:
         chosen = np.arange(cells.count) == cell
         vertices, faces, _ = cells.surface(chosen)
