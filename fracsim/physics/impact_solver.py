@@ -7,7 +7,7 @@ from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
 from ..common.arrays import FloatArray, IntArray
-from .rotations import cross
+from ..geometry.frames import cross, tangent_basis
 from .states import Motion, RigidBody
 
 SIMULTANEOUS = 1e-4  # s: contacts that begin within it are one impact, shared among them
@@ -126,10 +126,7 @@ class ImpactSolver:
         stick, and what that changes of the normal parts, by projected Gauss-Seidel."""
         count = len(touching)
         normals = self.normals[touching]
-        seed = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
-        across = cross(normals, seed)
-        across /= np.linalg.norm(across, axis=1)[:, None]
-        ways = np.stack([normals, across, cross(normals, across)], axis=1).reshape(-1, 3)  # (3 m, 3)
+        ways = np.stack([normals, *tangent_basis(normals, "smallest")], axis=1).reshape(-1, 3)  # (3 m, 3)
         matrix = self.response(np.repeat(touching, 3), ways)
         target = (np.repeat(self.approach()[touching], 3, axis=0) * ways).sum(axis=1)
         target[::3] *= 1.0 + self.restitution[touching]

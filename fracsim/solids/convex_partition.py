@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..common.errors import BakeError, MissingExtraError
+from ..geometry.frames import tangent_basis
 from .hulls import Mesh, hull_points, thin_hull, within
 
 try:
@@ -392,10 +393,9 @@ def _best_plane(
             pivot = near.mean(axis=0) if len(near) else points.mean(axis=0)
             pivot = pivot + normal * (offset - pivot @ normal)
         width = width / 2 if width else max(8 * float(size[k]), 4e-3)
-        side = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-        side /= np.linalg.norm(side)
+        side, up = tangent_basis(normal, "smallest")
         angle = np.arange(8) * (np.pi / 4) + turn
-        ring = np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(normal, side))
+        ring = np.outer(np.cos(angle), side) + np.outer(np.sin(angle), up)
         directions = np.vstack([normal, normal + turn * ring])
     return normal, offset
 
