@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from ..common.arrays import FloatArray, IntArray
 from ..fracture.pieces import ConvexParts
+from ..geometry.frames import cross
 from .bullet import Engine
-from .rotations import cross, rotation_of
+from .rotations import rotation_of
 from .states import ContactProperties, Motion, Placement
 
 Color = tuple[float, float, float, float]

@@ -16,10 +16,11 @@ import numpy as np
 
 from ..common.arrays import FloatArray
 from ..common.impulse import Impulse
+from ..geometry.frames import cross
 from .bodies import Body
 from .bullet import Engine
 from .impact_solver import ImpactSolver, complementary_impulses, inverse_inertia
-from .rotations import cross, rotation_of
+from .rotations import rotation_of
 from .states import BodyContacts, Motion, Placement, RigidBody, Triple
 
 MANY, MOST = 32, 96  # contacts of a body from which on they are thinned out, and how many are left at most

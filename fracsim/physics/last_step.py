@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.frames import cross
 from .bullet import Engine
-from .rotations import cross, rotation_of
+from .rotations import rotation_of
 from .states import ContactForces, Motion, Placement, Triple
 from .world_state import WorldState
 

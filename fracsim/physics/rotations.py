@@ -10,6 +10,7 @@ import pybullet as p
 from scipy.spatial.transform import Rotation
 
 from ..common.arrays import FloatArray
+from ..geometry.frames import cross as cross
 from .states import Triple
 
 
@@ -32,14 +33,6 @@ def integrate_rotation(quaternion: Sequence[float], angular: Triple, time: float
 def rotation_of(quaternion: Sequence[float]) -> FloatArray:
     """Quaternion (x, y, z, w) -> rotation matrix (3, 3)."""
     return np.array(p.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
-
-
-NEXT_AXIS, LAST_AXIS = np.array([1, 2, 0]), np.array([2, 0, 1])
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products (..., 3), as numpy's but for the checks, which take ten times the sums of a few rows."""
-    return a[..., NEXT_AXIS] * b[..., LAST_AXIS] - a[..., LAST_AXIS] * b[..., NEXT_AXIS]
 
 
 def quaternion_of(rotation: FloatArray) -> FloatArray:
