@@ -35,9 +35,11 @@ if TYPE_CHECKING:
     from .fracture.asset import BreakableAsset, load
     from .fracture.pieces import Piece
     from .fracture.result import Fracture
+    from .learning import register_model
     from .physics.events import FractureEvent
     from .physics.world import World
     from .segmentation import segment
+    from .simulators import register_simulator
 
 __version__ = "0.2.0"
 
@@ -53,6 +55,9 @@ _LAZY = {
     "segment": "segmentation",
     "World": "physics.world",
     "FractureEvent": "physics.events",
+    "register_environment": "envs",
+    "register_model": "learning",
+    "register_simulator": "simulators",
 }
 
 __all__ = [
@@ -79,6 +84,9 @@ __all__ = [
     "bake",
     "load",
     "make_dataset",
+    "register_environment",
+    "register_model",
+    "register_simulator",
     "segment",
 ]
 
@@ -100,8 +108,10 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_LAZY, *_SUBMODULES})
 
 
-_register(
-    id="FractureDrop-v0",
-    entry_point="fracsim.envs.fracture_drop:FractureDropEnv",
-    max_episode_steps=300,
-)
+# The environments that ship, each with its class and the steps after which an episode is truncated: one line for one.
+SHIPPED_ENVIRONMENTS = {
+    "FractureDrop-v0": ("fracsim.envs.fracture_drop:FractureDropEnv", 300),
+}
+
+for _name, (_entry_point, _steps) in SHIPPED_ENVIRONMENTS.items():
+    _register(id=_name, entry_point=_entry_point, max_episode_steps=_steps)

@@ -15,7 +15,8 @@ from fracsim.cli.main import main
 from fracsim.data.impacts import CONTACTS
 from fracsim.data.samples import sample
 from fracsim.fracture.arrays import AssetArrays
-from fracsim.simulators.modal import modal_simulator
+from fracsim.simulators.modal import ModalSimulator
+from fracsim.simulators.registry import SimulatorOptions
 from fracsim.solids.surface import read_surface
 
 
@@ -59,7 +60,9 @@ def test_one_seed_gives_one_asset(slab, slab_mesh, quick):
 @pytest.fixture(scope="module")
 def samples(slab):
     surface = read_surface(trimesh.Trimesh(slab.vertices, slab.faces, process=False))
-    return surface, sample(modal_simulator(surface, np.random.default_rng(0), 800, 5), 4000, 0)
+    return surface, sample(
+        ModalSimulator.build(surface, SimulatorOptions(cells=800, modes=5), np.random.default_rng(0)), 4000, 0
+    )
 
 
 def test_samples_break_exactly_from_their_own_threshold_on(samples):

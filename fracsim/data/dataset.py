@@ -23,10 +23,10 @@ from ..common.arrays import IntArray
 from ..common.errors import DatasetError, MissingExtraError
 from ..fracture.predictor import field_from_scores
 from ..fracture.rule import Interfaces
+from ..simulators import SIMULATORS
 from ..simulators.base import FractureSimulator
 from ..simulators.modal import ModalSimulator
 from ..simulators.radial import RadialSimulator
-from ..simulators.registry import SIMULATORS
 from ..solids.geodesics import CurveDistances
 from ..solids.solid import Solid
 from ..solids.surface import Surface

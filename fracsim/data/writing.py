@@ -19,9 +19,10 @@ from .. import __version__
 from ..common.errors import DatasetError, MissingExtraError
 from ..common.progress import Stages
 from ..geometry.sampling import CONE, SEVERITY
+from ..simulators import SIMULATORS
 from ..simulators.base import FractureSimulator, interfaces_between
 from ..simulators.modal import ModalSimulator
-from ..simulators.registry import SIMULATORS, SimulatorOptions, make_simulator
+from ..simulators.registry import SimulatorOptions, make_simulator
 from ..solids.geodesics import CAP, CurveDistances, interface_distances
 from ..solids.solid import Solid
 from ..solids.surface import Surface
@@ -244,7 +245,7 @@ def _create(
                 _put(group, "impact_field", simulator.impact_field)
                 group.attrs["energies"] = json.dumps(simulator.energies)
             else:
-                _put(group, "impact_field", given.impact_field.astype(np.float32))
+                _put(group, "impact_field", given.unit_tractions.astype(np.float32))
                 group.attrs["gauge"] = given.gauge
         joints = interfaces_between(simulator.cells)
         group = file.create_group("interfaces")

@@ -1,0 +1,106 @@
+"""Fracture simulators: impacts in, pieces out; what every learned model is trained on and measured against.
+
+This room is offline; datasets, learning and baking enter it through ``make_simulator`` and the protocols of
+``simulators.base``. To add a simulator of the package, write one file and one line of ``SIMULATORS``; a user's own
+class is added with ``register_simulator``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from ..common.errors import BakeError
+
+if TYPE_CHECKING:
+    from .base import RegisteredSimulator
+
+# Each name's class, or where to import it from when it is first used: not every class's dependencies are installed.
+SIMULATORS: dict[str, str | type[RegisteredSimulator]] = {
+    "modal": "fracsim.simulators.modal:ModalSimulator",
+    "elastic": "fracsim.simulators.elastic:ElasticSimulator",
+    "radial": "fracsim.simulators.radial:RadialSimulator",
+}
+
+# What a class must carry to be registered; ``simulators.base.RegisteredSimulator`` says what each means.
+REQUIRED = (
+    "options_type",
+    "fixed_cracks",
+    "repeatable",
+    "driven_by_impact_field",
+    "build",
+    "thresholds",
+    "fracture",
+    "state",
+    "restore",
+)
+
+UNREGISTERED = "own"  # how a dataset's header calls a simulator that has no name here
+
+__all__ = ["SIMULATORS", "register_simulator", "simulator_class"]
+
+
+def register_simulator(name: str, cls: str | type[Any]) -> None:
+    """Make a simulator known by a name, for ``BakeOptions``, ``make_dataset`` and ``--simulator``.
+
+    Parameters
+    ----------
+    name : str
+        How it is asked for. It must be free.
+    cls : type or str
+        A class with all that ``simulators.base.RegisteredSimulator`` lists, or ``"module:Class"``, which is imported
+        when it is first used.
+
+    Raises
+    ------
+    BakeError
+        If the name is taken or no name, or the class lacks something.
+    """
+    if not isinstance(name, str) or not name.strip() or name == UNREGISTERED:
+        raise BakeError(f"a simulator's name must be a string of letters and not {UNREGISTERED!r}, got {name!r}")
+    if name in SIMULATORS:
+        raise BakeError(f"the simulator name {name!r} is taken; choose another")
+    SIMULATORS[name] = cls if isinstance(cls, str) else _complete(name, cls)
+
+
+def simulator_class(name: str) -> type[RegisteredSimulator]:
+    """Look up the class of a registered simulator.
+
+    Parameters
+    ----------
+    name : str
+        A key of ``SIMULATORS``.
+
+    Returns
+    -------
+    type
+        The class, imported now if it was not before.
+
+    Raises
+    ------
+    BakeError
+        If no simulator has that name, or the place it was registered with does not hold it.
+    MissingExtraError
+        If what its module needs is not installed.
+    """
+    if name not in SIMULATORS:
+        raise BakeError(f"unknown simulator {name!r}; use {' or '.join(SIMULATORS)}, or register your own")
+    entry = SIMULATORS[name]
+    if isinstance(entry, str):
+        module, _, attribute = entry.partition(":")
+        loaded = vars(importlib.import_module(module))
+        if attribute not in loaded:
+            raise BakeError(f"simulator {name!r}: {module} has no class {attribute!r}; register it as 'module:Class'")
+        entry = _complete(name, loaded[attribute])
+        SIMULATORS[name] = entry
+    return entry
+
+
+def _complete(name: str, cls: Any) -> type[RegisteredSimulator]:
+    """The class, if it carries all that a registered simulator must."""
+    if not isinstance(cls, type):
+        raise BakeError(f"simulator {name!r}: must be a class or 'module:Class', got {cls!r}")
+    missing = [attribute for attribute in REQUIRED if attribute not in dir(cls)]
+    if missing:
+        raise BakeError(f"simulator {name!r}: {cls.__name__} lacks {', '.join(missing)}; see RegisteredSimulator")
+    return cls

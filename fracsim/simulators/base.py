@@ -1,29 +1,49 @@
-"""The door behind which the truth stands: impacts go in, and which parts of a body stay together comes out.
+"""What a fracture simulator is: impacts go in, and which cells of a body stay together comes out.
 
-``Generator`` is the interface that datasets, training and baking rely on; ``ModalGenerator`` stands behind it by
-default. ``elastic.ElasticGenerator`` drives the same atoms by another physics, ``radial.RadialGenerator`` has none of
-them. Offline only.
+Datasets, learning and baking know simulators by the protocols here and by nothing else; the functions below them are
+shared by the simulators themselves. Offline only.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
+import numpy.typing as npt
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..fracture.rule import Interfaces, components, merge_small_pieces, weakest_cut
 from ..solids.solid import Solid, shared_faces
 from ..solids.surface import Surface
 
+if TYPE_CHECKING:
+    from .registry import SimulatorOptions
+
+# What a simulator keeps of itself in a dataset: arrays by name, and numbers, text and lists of them by name.
+State = tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]
+Progress = Callable[[str, float], None]  # hears the name of a stage and the share of it that is done, 0 to 1
+
+
+def no_progress(stage: str, share: float) -> None:
+    """Hear nothing."""
+
 
 @dataclass(frozen=True, eq=False)
 class Impacts:
-    """N impacts on a surface, each of up to K contacts acting together.
+    """N impacts on a surface, each of up to K contacts that act together.
 
-    faces: (N, K) and barycentric: (N, K, 3), where on the surface; directions: (N, K, 3), unit.
-    severities: (N, K), impulse / (mass * breaking velocity), 0 where there is no contact.
+    Attributes
+    ----------
+    faces : ndarray of int64, shape (N, K)
+        The face of the surface that each contact lies on.
+    barycentric : ndarray of float64, shape (N, K, 3)
+        Where on the face: the weights of its corners, which sum to 1.
+    directions : ndarray of float64, shape (N, K, 3)
+        Unit vectors along the impulses.
+    severities : ndarray of float64, shape (N, K)
+        Impulse / (mass * breaking velocity), without unit; 0 where there is no contact.
     """
 
     faces: IntArray
@@ -35,17 +55,32 @@ class Impacts:
         return len(self.faces)
 
     def times(self, factor: FloatArray) -> Impacts:
-        """The same impacts, each ``factor`` (N,) as severe."""
+        """Scale the severities.
+
+        Parameters
+        ----------
+        factor : ndarray of float64, shape (N,)
+            One factor for each impact.
+
+        Returns
+        -------
+        Impacts
+            The same impacts, each ``factor`` times as severe.
+        """
         return Impacts(self.faces, self.barycentric, self.directions, self.severities * factor[:, None])
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What N impacts do.
+    """What N impacts do to a body of C cells.
 
-    labels: (N, P), the piece of each part of the simulator's body, from 0; all 0 where nothing parts.
-    broken: (N, I), the interfaces between neighbouring parts that gave way, where the simulator knows them; one
-    that broke within a piece, its sides being joined another way, parts nothing.
+    Attributes
+    ----------
+    labels : ndarray of int64, shape (N, C)
+        The piece that each cell belongs to, from 0; all 0 where the body stays whole.
+    broken : ndarray of bool, shape (N, I), or None
+        The interfaces between neighbouring cells that break, where the simulator knows them. An interface may break
+        inside a piece: its two sides are then still joined by another way.
     """
 
     labels: IntArray
@@ -53,56 +88,299 @@ class Response:
 
 
 class FractureSimulator(Protocol):
-    """A truth about how one body breaks. Deterministic: an impact has one answer.
+    """Says how one body breaks; the same impact always has the same answer.
 
-    surface: of largest extent 1, with V vertices. parts: P parts whose outside is that surface exactly; labels
-    speak of them, and cracks run where they meet. fixed_cracks: whether the parts are so few that distances to
-    each of their interfaces are worth keeping (pieces are unions of few parts, not free shapes among many).
-    A simulator of fixed cracks may also have ``cells``, a finer Solid, and ``atom``, the part of each of its cells;
-    baking then sees the body through them.
+    Attributes
+    ----------
+    surface : Surface
+        The body's surface, of largest extent 1, with V vertices.
+    cells : Solid
+        The C cells that labels speak of. Their outside is the surface exactly, and cracks run where they meet.
+    fixed_cracks : bool
+        Whether the cells are so few that the distances to each of their interfaces are worth keeping: pieces are
+        unions of few cells, not free shapes among many.
+
+    See Also
+    --------
+    FineCells, ImpactField : what a simulator may have besides.
+    RegisteredSimulator : what it must have besides to be known by a name.
     """
 
     @property
-    def surface(self) -> Surface: ...
-
-    @property
-    def cells(self) -> Solid: ...
-
-    @property
-    def fixed_cracks(self) -> bool: ...
-
-    def thresholds(self, impacts: Impacts) -> FloatArray:
-        """(N,) the factor by which each impact's severities have to be multiplied for it just to part the body."""
+    def surface(self) -> Surface:
+        """The body's surface."""
         ...
 
-    def fracture(self, impacts: Impacts) -> Response: ...
+    @property
+    def cells(self) -> Solid:
+        """The cells that labels speak of."""
+        ...
+
+    @property
+    def fixed_cracks(self) -> bool:
+        """Whether cracks run only between few cells."""
+        ...
+
+    def thresholds(self, impacts: Impacts) -> FloatArray:
+        """Find how severe each impact must be to break the body.
+
+        Parameters
+        ----------
+        impacts : Impacts
+            N impacts.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            The least factor on each impact's severities at which the body falls into two pieces.
+        """
+        ...
+
+    def fracture(self, impacts: Impacts) -> Response:
+        """Break the body by each impact.
+
+        Parameters
+        ----------
+        impacts : Impacts
+            N impacts, each on the whole body.
+
+        Returns
+        -------
+        Response
+            The pieces of each.
+        """
+        ...
 
 
-def interfaces_between(parts: Solid) -> Interfaces:
-    """Where neighbouring parts of a solid meet."""
-    pairs, areas, vectors = shared_faces(parts.triangles, parts.sides, parts.points)
+@runtime_checkable
+class FineCells(Protocol):
+    """A simulator whose cells are themselves made of smaller cells, which baking then uses for the body's inside.
+
+    Attributes
+    ----------
+    fine_cells : Solid
+        F cells, of the same body.
+    fine_to_cell : ndarray of int64, shape (F,)
+        The cell that each fine cell is a part of.
+    """
+
+    @property
+    def fine_cells(self) -> Solid:
+        """The smaller cells."""
+        ...
+
+    @property
+    def fine_to_cell(self) -> IntArray:
+        """The cell of each smaller cell."""
+        ...
+
+
+@runtime_checkable
+class ImpactField(Protocol):
+    """A simulator that breaks interfaces by ``fracture.rule.load_ratios`` from an impact field of its own.
+
+    Attributes
+    ----------
+    impact_field : ndarray of float64, shape (V, C)
+        How a unit impact at each vertex spreads over the cells; of volume-weighted mean 1 over each row.
+    """
+
+    @property
+    def impact_field(self) -> FloatArray:
+        """How a unit impact spreads."""
+        ...
+
+
+@runtime_checkable
+class Described(Protocol):
+    """A simulator that has figures of its own for an asset's metadata."""
+
+    def figures(self) -> dict[str, Any]:
+        """Collect the figures.
+
+        Returns
+        -------
+        dict
+            Of what JSON can hold, by name.
+        """
+        ...
+
+
+class RegisteredSimulator(FractureSimulator, Protocol):
+    """What a class must carry to be known by a name (``fracsim.register_simulator``).
+
+    Attributes
+    ----------
+    options_type : type
+        ``SimulatorOptions``, or a dataclass derived from it that adds options with defaults.
+    repeatable : bool
+        Whether ``build`` with the same seed gives the same bits again, so that a dataset can be made again from its
+        header alone.
+    driven_by_impact_field : bool
+        Whether its instances are an ``ImpactField``.
+    """
+
+    options_type: ClassVar[type[SimulatorOptions]]
+    repeatable: ClassVar[bool]
+    driven_by_impact_field: ClassVar[bool]
+
+    @classmethod
+    def build(cls, surface: Surface, options: Any, rng: np.random.Generator, progress: Progress = no_progress) -> Self:
+        """Make the simulator of a surface.
+
+        Parameters
+        ----------
+        surface : Surface
+            Of largest extent 1.
+        options : SimulatorOptions
+            Of the class's ``options_type``.
+        rng : numpy.random.Generator
+            The only source of chance.
+        progress : callable
+            Hears the stage and the share of it that is done.
+
+        Returns
+        -------
+        RegisteredSimulator
+            An instance of this class.
+
+        Raises
+        ------
+        BakeError
+            If the surface cannot be simulated so.
+        """
+        ...
+
+    def state(self) -> State:
+        """Collect what a dataset keeps of the simulator beside its surface, cells and interfaces.
+
+        Returns
+        -------
+        arrays : dict of ndarray
+            Of floats or integers, by name; a slash in a name groups.
+        numbers : dict
+            Of what JSON can hold.
+        """
+        ...
+
+    @classmethod
+    def restore(
+        cls,
+        surface: Surface,
+        cells: Solid,
+        interfaces: Interfaces,
+        arrays: Mapping[str, npt.NDArray[Any]],
+        numbers: Mapping[str, Any],
+    ) -> Self:
+        """Make a simulator again that answers with the same bits as the one whose state was kept.
+
+        Parameters
+        ----------
+        surface : Surface
+            As it was.
+        cells : Solid
+            As they were.
+        interfaces : Interfaces
+            As ``interfaces_between(cells)`` was.
+        arrays, numbers : mapping
+            What ``state`` gave. Floats are of the dtype they had, integers int64.
+
+        Returns
+        -------
+        RegisteredSimulator
+            An instance of this class.
+        """
+        ...
+
+
+def interfaces_between(cells: Solid) -> Interfaces:
+    """Find where neighbouring cells of a solid meet.
+
+    Parameters
+    ----------
+    cells : Solid
+        Of C cells.
+
+    Returns
+    -------
+    Interfaces
+        One for each pair of cells that share an area.
+    """
+    pairs, areas, vectors = shared_faces(cells.triangles, cells.sides, cells.points)
     projected = np.linalg.norm(vectors, axis=1)
     # A crack that folds back on itself may have no mean direction; any will do, its projected area being 0.
     normals = vectors / np.maximum(projected, 1e-300)[:, None]
     return Interfaces(pairs, areas, normals, projected)
 
 
-def critical_load_factor(drives: FloatArray, parts: Solid, interfaces: Interfaces) -> FloatArray:
-    """(N,) the factors on drives (N, I) at which the parts first fall apart."""
-    return 1.0 / weakest_cut(drives, interfaces.pairs, len(parts.volumes))
+def critical_load_factor(load_ratios: FloatArray, cells: Solid, interfaces: Interfaces) -> FloatArray:
+    """Find the factors at which loads first break a body in two.
+
+    Parameters
+    ----------
+    load_ratios : ndarray of float64, shape (N, I)
+        Load over strength of each interface.
+    cells : Solid
+        The body's cells.
+    interfaces : Interfaces
+        The I interfaces between them.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        The factor on each row.
+    """
+    return 1.0 / weakest_cut(load_ratios, interfaces.pairs, len(cells.volumes))
 
 
 def pieces_from_broken(
-    broken: BoolArray, parts: Solid, interfaces: Interfaces, min_piece_volume_fraction: float
+    broken: BoolArray, cells: Solid, interfaces: Interfaces, min_piece_volume_fraction: float
 ) -> Response:
-    """What is left when interfaces give way: broken (N, I)."""
-    labels = components(~broken, interfaces.pairs, len(parts.volumes))
-    return Response(merge_small_pieces_each(labels, parts.volumes, interfaces, min_piece_volume_fraction), broken)
+    """Find the pieces that remain when interfaces break.
+
+    Parameters
+    ----------
+    broken : ndarray of bool, shape (N, I)
+        The interfaces that break.
+    cells : Solid
+        The body's C cells.
+    interfaces : Interfaces
+        The I interfaces between them.
+    min_piece_volume_fraction : float
+        Smaller pieces, as fractions of the body's volume, join a neighbour.
+
+    Returns
+    -------
+    Response
+        Labels (N, C) and ``broken``.
+    """
+    labels = components(~broken, interfaces.pairs, len(cells.volumes))
+    return Response(merge_small_pieces_each(labels, cells.volumes, interfaces, min_piece_volume_fraction), broken)
 
 
-def merge_small_pieces_each(labels: IntArray, volumes: FloatArray, interfaces: Interfaces, floor: float) -> IntArray:
-    """``breaking.absorb_crumbs`` over the rows of labels (N, P)."""
+def merge_small_pieces_each(
+    labels: IntArray, volumes: FloatArray, interfaces: Interfaces, min_piece_volume_fraction: float
+) -> IntArray:
+    """Apply ``fracture.rule.merge_small_pieces`` to many bodies.
+
+    Parameters
+    ----------
+    labels : ndarray of int64, shape (N, C)
+        The piece of each cell.
+    volumes : ndarray of float64, shape (C,)
+        Of the cells, in any unit.
+    interfaces : Interfaces
+        Between the cells.
+    min_piece_volume_fraction : float
+        Smaller pieces, as fractions of the whole volume, join a neighbour.
+
+    Returns
+    -------
+    ndarray of int64, shape (N, C)
+        The piece of each cell now.
+    """
     share = volumes / volumes.sum()
-    if share.min() >= floor:  # then no piece can be a crumb
+    if share.min() >= min_piece_volume_fraction:  # then no piece can be too small
         return labels
-    return np.array([merge_small_pieces(row, share, interfaces, floor) for row in labels]).reshape(labels.shape)
+    merged = [merge_small_pieces(row, share, interfaces, min_piece_volume_fraction) for row in labels]
+    return np.array(merged).reshape(labels.shape)

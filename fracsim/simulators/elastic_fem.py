@@ -30,7 +30,7 @@ try:
     from skfem.models.elasticity import lame_parameters, linear_elasticity
     from skfem.models.poisson import mass
 except ImportError as error:
-    raise MissingExtraError("scikit-fem", "check") from error
+    raise MissingExtraError("scikit-fem", "elastic") from error
 
 
 POISSON = 0.25  # of glass and ceramics
@@ -70,7 +70,7 @@ def tetrahedralise(surface: Surface, edge: float | None = None) -> MeshTet:
     slightly different mesh each time. Raises MissingExtraError without wildmeshing, BakeError if it fails.
     """
     if importlib.util.find_spec("wildmeshing") is None:
-        raise MissingExtraError("wildmeshing", "check")
+        raise MissingExtraError("wildmeshing", "elastic")
     edge = mesh_edge(surface) if edge is None else edge
     diagonal = float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))  # what fTetWild measures lengths in
     with tempfile.TemporaryDirectory() as folder:

@@ -1,33 +1,49 @@
-"""TODO simulators.registry."""
+"""The options of a simulator, and ``make_simulator``, which builds any registered one from them. Offline only.
+
+Datasets, studies and baking come in here; no simulator is known by its name in this file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from ..common.errors import BakeError, MissingExtraError
 from ..solids.surface import Surface
-from .base import FractureSimulator
-from .modal import modal_simulator
+from . import SIMULATORS, simulator_class
+from .base import FractureSimulator, Progress, no_progress
 
 try:
     from threadpoolctl import threadpool_limits
 except ImportError as error:
     raise MissingExtraError("threadpoolctl", "bake") from error
 
-
-SIMULATORS = ("modal", "elastic", "radial")
+LEAST_CELLS = 50  # fewer do not resolve any shape
 
 
 @dataclass(frozen=True)
 class SimulatorOptions:
     """What ``make_simulator`` builds.
 
-    truth: "modal"; "elastic", the modal atoms driven apart by elastic stress; or "radial". cells: of the solid, about.
-    modes: fracture modes, which radial cracks do without. min_piece_volume_fraction: of the volume; smaller pieces join a
-    neighbour.
+    A simulator with more options has an ``options_type`` derived from this class; ``options_for`` finds it.
+
+    Attributes
+    ----------
+    name : str
+        A registered simulator: "modal", "elastic", "radial", or one of your own.
+    cells : int
+        About how many cells the body is cut into, at least 50.
+    modes : int
+        Fracture modes, at least 0; a simulator without modes takes no notice of it.
+    min_piece_volume_fraction : float
+        Pieces of less than this fraction of the body's volume join a neighbour; at least 0 and below 1.
+
+    Raises
+    ------
+    BakeError
+        If a value is out of range, or no simulator has that name.
     """
 
     name: str = "modal"
@@ -37,36 +53,77 @@ class SimulatorOptions:
 
     def __post_init__(self) -> None:
         if self.name not in SIMULATORS:
-            raise BakeError(f"unknown truth {self.name!r}; use {' or '.join(SIMULATORS)}")
-        for name, least in (("cells", 50), ("modes", 0)):
-            if not (isinstance(getattr(self, name), int) and getattr(self, name) >= least):
-                raise BakeError(f"{name} must be a whole number and at least {least}, got {getattr(self, name)}")
+            raise BakeError(f"unknown simulator {self.name!r}; use {' or '.join(SIMULATORS)}, or register your own")
+        for name, value, limit in (("cells", self.cells, LEAST_CELLS), ("modes", self.modes, 0)):
+            if not (isinstance(value, int) and value >= limit):
+                raise BakeError(f"{name} must be a whole number and at least {limit}, got {value}")
         if not 0.0 <= self.min_piece_volume_fraction < 1.0:
             raise BakeError(
                 f"min_piece_volume_fraction must be at least 0 and below 1, got {self.min_piece_volume_fraction}"
             )
 
 
+def options_for(name: str = "modal", **values: Any) -> SimulatorOptions:
+    """Make the options of a registered simulator, of its own ``options_type``.
+
+    Parameters
+    ----------
+    name : str
+        The simulator's.
+    **values
+        Its options; those not named keep their defaults.
+
+    Returns
+    -------
+    SimulatorOptions
+        Or what the simulator derives from it.
+
+    Raises
+    ------
+    BakeError
+        If no simulator has that name, it has no such option, or a value is out of range.
+    """
+    kind = simulator_class(name).options_type
+    known = [field.name for field in fields(kind)]
+    for option in values:
+        if option not in known:
+            raise BakeError(f"simulator {name!r} has no option {option!r}; it has {', '.join(known)}")
+    return kind(name=name, **values)
+
+
 def make_simulator(
-    surface: Surface,
-    options: SimulatorOptions,
-    seed: int,
-    progress: Callable[[str, float], None] = lambda stage, share: None,
+    surface: Surface, options: SimulatorOptions, seed: int, progress: Progress = no_progress
 ) -> FractureSimulator:
-    """The truth of a surface, the same for the same seed (the elastic one but nearly so: fTetWild, which makes its
-    mesh, does not repeat itself). Raises BakeError when the surface cannot be cut up."""
+    """Build the simulator of a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        Of largest extent 1.
+    options : SimulatorOptions
+        Which simulator, and how fine.
+    seed : int
+        At least 0. The same seed gives the same simulator, bit by bit where its class is ``repeatable``.
+    progress : callable
+        Hears the stage and the share of it that is done.
+
+    Returns
+    -------
+    FractureSimulator
+        An instance of the registered class.
+
+    Raises
+    ------
+    BakeError
+        If the surface cannot be cut into cells, or the simulator cannot work with it.
+    MissingExtraError
+        If what the simulator needs is not installed.
+    """
     if seed < 0:
         raise BakeError(f"a seed must be at least 0, got {seed}")
+    cls = simulator_class(options.name)
+    if not isinstance(options, cls.options_type):
+        options = options_for(**asdict(options))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     with threadpool_limits(1):  # sums in one order, whatever the machine
-        if options.name == "radial":
-            from .radial import radial_simulator
-
-            progress("solid", 0.0)
-            return radial_simulator(surface, rng, options.cells, options.min_piece_volume_fraction)
-        modal = modal_simulator(surface, rng, options.cells, options.modes, options.min_piece_volume_fraction, progress)
-    if options.name == "elastic":
-        from .elastic import elastic_simulator
-
-        return elastic_simulator(modal, progress=progress)
-    return modal
+        return cls.build(surface, options, rng, progress)

@@ -7,9 +7,12 @@ shared areas and outer faces are those of the real body however thin its walls a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..common.arrays import FloatArray, IntArray
 from ..geometry.complex import vertex_cells
@@ -112,3 +115,39 @@ def relabel(solid: Solid, label: IntArray) -> Solid:
 def surface_cells(solid: Solid, count: int) -> IntArray:
     """(V,) the cell that each of the surface's ``count`` vertices lies on."""
     return vertex_cells(solid.triangles, solid.sides, len(solid.points))[:count]
+
+
+def solid_to_arrays(solid: Solid, prefix: str = "") -> dict[str, npt.NDArray[Any]]:
+    """Take a solid apart for a file.
+
+    Parameters
+    ----------
+    solid : Solid
+        Of any cells.
+    prefix : str
+        Put before each array's name.
+
+    Returns
+    -------
+    dict of ndarray
+        Every attribute by its name.
+    """
+    return {prefix + field.name: getattr(solid, field.name) for field in fields(Solid)}
+
+
+def solid_from_arrays(arrays: Mapping[str, npt.NDArray[Any]], prefix: str = "") -> Solid:
+    """Make a solid again of what ``solid_to_arrays`` gave.
+
+    Parameters
+    ----------
+    arrays : mapping of ndarray
+        By prefix and name; there may be others.
+    prefix : str
+        As it was.
+
+    Returns
+    -------
+    Solid
+        With the same arrays.
+    """
+    return Solid(**{field.name: arrays[prefix + field.name] for field in fields(Solid)})

@@ -12,9 +12,10 @@ from fracsim.common.errors import BakeError
 from fracsim.fracture.rule import Interfaces, effective_opening
 from fracsim.simulators.base import Impacts, interfaces_between
 from fracsim.simulators.diffusion import PATCH_RADIUS
-from fracsim.simulators.elastic import elastic_simulator, single_impacts
+from fracsim.simulators.elastic import ElasticSimulator, single_impacts
 from fracsim.simulators.elastic_fem import ElasticBody, locate, mesh_edge, rigid_motions
-from fracsim.simulators.modal import modal_simulator
+from fracsim.simulators.modal import ModalSimulator
+from fracsim.simulators.registry import SimulatorOptions
 from fracsim.solids.solid import Solid
 from fracsim.solids.surface import Surface, read_surface
 
@@ -180,13 +181,13 @@ def test_tension_shear_and_compression_count_as_in_the_breaking_rule():
 @pytest.fixture(scope="module")
 def modal():
     box = trimesh.creation.box((1.0, 0.4, 0.2)).subdivide().subdivide().subdivide()
-    return modal_simulator(read_surface(box), np.random.default_rng(0), cells=400, modes=5)
+    return ModalSimulator.build(read_surface(box), SimulatorOptions(cells=400, modes=5), np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
 def elastic(modal):
     axes = [np.linspace(-size / 2, size / 2, n) for size, n in ((1.0, 11), (0.4, 5), (0.2, 4))]
-    return elastic_simulator(modal, MeshTet.init_tensor(*axes))
+    return ElasticSimulator.from_modal(modal, MeshTet.init_tensor(*axes))
 
 
 def test_the_gauge_makes_the_median_thresholds_agree(modal, elastic):
@@ -200,8 +201,8 @@ def test_a_blow_parts_the_elastic_body_from_its_threshold_on(elastic):
     assert (elastic.fracture(impacts.times(0.999 * critical)).labels == 0).all()
     above = elastic.fracture(impacts.times(1.001 * critical))
     assert above.broken.any(axis=1).all()
-    assert elastic.drives(impacts.times(critical)).max(axis=1) == pytest.approx(
-        critical * elastic.drives(impacts).max(1)
+    assert elastic.load_ratios(impacts.times(critical)).max(axis=1) == pytest.approx(
+        critical * elastic.load_ratios(impacts).max(1)
     )
 
 
@@ -210,11 +211,11 @@ def test_contacts_lie_between_vertices_and_add_up(elastic):
     share, push = np.array([0.2, 0.3, 0.5]), np.array([[0.0, 0.6, -0.8], [1.0, 0.0, 0.0]])
     impact = Impacts(np.array([[7, 40]]), np.tile(share, (1, 2, 1)), push[None], np.array([[2.0, 0.5]]))
     expected = sum(
-        strength * np.einsum("c,cjik,j->ik", share, elastic.rows[faces[face]], d)
+        strength * np.einsum("c,cjik,j->ik", share, elastic.unit_tractions[faces[face]], d)
         for face, d, strength in zip((7, 40), push, (2.0, 0.5), strict=True)
     )
     np.testing.assert_allclose(elastic.tractions(impact)[0], expected, atol=1e-12 * np.abs(expected).max())
-    np.testing.assert_allclose(elastic.drives(impact), effective_opening(expected[None], normal))
+    np.testing.assert_allclose(elastic.load_ratios(impact), effective_opening(expected[None], normal))
 
 
 def test_thin_bodies_get_smaller_tetrahedra(modal):

@@ -19,7 +19,7 @@ from fracsim.fracture.rule import separated
 from fracsim.learning.atoms import atoms_for, observe_fractures
 from fracsim.simulators.base import Impacts
 from fracsim.simulators.fracture_modes import fracture_modes
-from fracsim.simulators.modal import modal_from_solid
+from fracsim.simulators.modal import ModalSimulator
 from fracsim.simulators.registry import SimulatorOptions, make_simulator
 from fracsim.solids.cut import cut_lattice
 from fracsim.solids.solid import Solid, surface_cells
@@ -36,7 +36,7 @@ def wedge():
 def body():
     surface = refine(read_surface(wedge()))
     cells = cut_lattice(surface, 600, np.random.default_rng(0))
-    simulator = modal_from_solid(surface, cells, fracture_modes(cells, 4), 1e-3)
+    simulator = ModalSimulator.from_modes(surface, cells, fracture_modes(cells, 4), 1e-3)
     impacts, _ = draw_impacts(surface, 200, np.random.default_rng(1))
     ratio = np.exp(np.random.default_rng(2).uniform(np.log(0.3), np.log(5), 200))
     return surface, cells, simulator, impacts.times(ratio * simulator.thresholds(impacts))
@@ -66,12 +66,12 @@ def test_moving_turning_and_renumbering_the_solid_changes_nothing_but_the_frame(
     rotation, shift = Rotation.random(random_state=seed % 2**31), rng.standard_normal(3)
     order, triangles = rng.permutation(len(cells.volumes)), rng.permutation(len(cells.triangles))
     other_surface, other_cells = moved(surface, cells, rotation, shift, order, triangles)
-    other = modal_from_solid(other_surface, other_cells, fracture_modes(other_cells, 4), 1e-3)
+    other = ModalSimulator.from_modes(other_surface, other_cells, fracture_modes(other_cells, 4), 1e-3)
     # The same atoms, by another number: a one-to-one map.
     pairs = np.unique(np.stack([simulator.fine_to_cell[order], other.fine_to_cell]), axis=1)
     assert pairs.shape[1] == len(simulator.cells.volumes) == len(other.cells.volumes)
     number = pairs[1]
-    np.testing.assert_allclose(other.rows[:, number], simulator.impact_field, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(other.impact_field[:, number], simulator.impact_field, rtol=1e-8, atol=1e-9)
     directions = rotation.apply(impacts.directions.reshape(-1, 3)).reshape(impacts.directions.shape)
     turned = replace(impacts, directions=directions)
     np.testing.assert_allclose(other.thresholds(turned), simulator.thresholds(impacts), rtol=1e-7)
@@ -88,7 +88,7 @@ def test_the_size_of_the_mesh_changes_nothing(body, scale):
     surface = refine(read_surface(mesh))
     assert surface.scale == scale
     cells = cut_lattice(surface, 600, np.random.default_rng(0))
-    other = modal_from_solid(surface, cells, fracture_modes(cells, 4), 1e-3)
+    other = ModalSimulator.from_modes(surface, cells, fracture_modes(cells, 4), 1e-3)
     np.testing.assert_array_equal(other.fine_to_cell, simulator.fine_to_cell)
     np.testing.assert_array_equal(other.thresholds(impacts), simulator.thresholds(impacts))
 
@@ -174,15 +174,15 @@ def test_radial_cracks_start_where_the_body_is_struck_and_run_further_the_harder
 
 def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
     built = atoms_for(radial, observe_fractures(radial, 0), 1e-3)
-    assert not built.own
-    assert 20 < len(built.cells.volumes) <= 150
-    assert built.cells.volumes.sum() == pytest.approx(radial.cells.volumes.sum(), rel=1e-12)
+    assert not built.are_the_simulators
+    assert 20 < len(built.solid.volumes) <= 150
+    assert built.solid.volumes.sum() == pytest.approx(radial.cells.volumes.sum(), rel=1e-12)
     drawn = sample(radial, 400, 1)
     projected = built.project(drawn)
-    assert projected.labels.shape == (400, len(built.cells.volumes))
+    assert projected.labels.shape == (400, len(built.solid.volumes))
     np.testing.assert_array_equal(projected.broken, separated(projected.labels, built.interfaces.pairs))
     count = len(radial.surface.vertices)
-    free, blocks = surface_cells(radial.cells, count), surface_cells(built.cells, count)
+    free, blocks = surface_cells(radial.cells, count), surface_cells(built.solid, count)
     broke = drawn.labels.any(axis=1)
     scores = [
         fracsim.metrics.ari(a[free], b[blocks])
@@ -191,18 +191,18 @@ def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
     assert np.mean(scores) > 0.6
 
 
-def test_another_truth_bakes_into_an_asset_that_breaks_and_owns_up_to_what_it_is(crate, tmp_path):
-    assert crate.metadata["truth"] == "radial"
+def test_another_simulator_bakes_into_an_asset_that_breaks_and_owns_up_to_what_it_is(crate, tmp_path):
+    assert crate.metadata["simulator"] == "radial"
     assert crate.metadata["test"]["ari_of_the_atoms"] > 0.3
     assert crate.metadata["test"]["balanced_accuracy"] > 0.7
     path = tmp_path / "radial.frac"
     crate.save(path)
     again = fracsim.load(path)
-    assert again.truth == crate.truth
+    assert again.baked_from == crate.baked_from
     impulses = again.sample_impulses(40, 0)
     pieces = [len(again.fracture(impulse).pieces) for impulse in impulses]
     assert max(pieces) > 1 == min(pieces)
     weak = fracsim.Impulse(impulses[0].point, impulses[0].direction, 0.5 * float(again.breaking_impulse[0]))
     assert not again.may_break(weak)
-    with pytest.raises(fracsim.FracsimError, match="baked from a truth that it does not carry"):
+    with pytest.raises(fracsim.FracsimError, match="that it does not carry"):
         again.fracture(impulses[0], predictor="modes")
