@@ -13,8 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 import fracsim
-from fracsim.physics.rotations import rotation_of
-from fracsim.physics.scene import Scene
+from fracsim.physics.scene import Scene, rotation_of
 
 FPS = 25
 START = 0.3  # s before the hit, where the film begins

@@ -52,6 +52,7 @@ _LAZY = {
     "make_dataset": "data.writing",
     "Material": "common.material",
     "Piece": "fracture.pieces",
+    "register_segmentation": "segmentation",
     "segment": "segmentation",
     "World": "physics.world",
     "FractureEvent": "physics.events",

@@ -1,10 +1,16 @@
-"""TODO physics.scene."""
+"""A PyBullet client of one's own with a floor, gravity, a clock and a camera: the stage of environments and examples.
+
+What stands on a `Scene` takes everything of the physics from this module: it also gives what environments need of the
+other modules of the room.
+"""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -12,15 +18,102 @@ import pybullet as p
 from scipy.ndimage import uniform_filter
 
 from ..common.arrays import ByteArray, FloatArray
-from ..common.errors import RenderError
+from ..common.errors import PhysicsError, RenderError
+from .impacts import ContactImpulse
+from .rotations import rotation_of
+from .states import Motion, Placement
 
-GRAVITY = 9.81  # m/s², of a Scene
+__all__ = [
+    "CAMERA",
+    "GRAVITY",
+    "CameraSettings",
+    "ContactImpulse",
+    "Motion",
+    "Placement",
+    "Scene",
+    "rotation_of",
+]
+
+GRAVITY = 9.81  # m/s², downwards in every Scene
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """How `Scene.image` draws.
+
+    Attributes
+    ----------
+    field_of_view : float
+        Vertical angle of the image, degrees.
+    near, far : float
+        Distances between which things are drawn, m.
+    light : tuple of float
+        Direction towards the light, world frame.
+    light_distance : float
+        Distance of the light, m.
+    ambient, diffuse, specular : float
+        Shares of the light of each kind.
+    shadow_step : float
+        Least darkening, of 255, that counts as shadow; rounding makes smaller ones.
+    shadow_window : int
+        Side of the square, in pixels, over which shadow is averaged: a few times the renderer's speckles.
+    shadow_cover : tuple of float
+        Share of the square in shadow from which shadow is drawn, and from which it is drawn in full.
+    """
+
+    field_of_view: float = 40.0
+    near: float = 0.05
+    far: float = 50.0
+    light: tuple[float, float, float] = (-1.0, -1.5, 3.0)
+    light_distance: float = 4.0
+    ambient: float = 0.55
+    diffuse: float = 0.5
+    specular: float = 0.1
+    shadow_step: float = 2.0
+    shadow_window: int = 7
+    shadow_cover: tuple[float, float] = (0.55, 0.85)
+
+
+CAMERA = CameraSettings()
 
 
 class Scene:
     """A client of one's own with a floor at z = 0, gravity, a clock and a camera.
 
-    window: whether to open one. show: whether there is anything to see, in the window or in an image.
+    A scene cannot be copied or pickled: the copy would step the same simulation.
+
+    Parameters
+    ----------
+    time_step : float
+        Length of a time step, s.
+    window : bool
+        Whether to open a window.
+    show : bool
+        Whether there is anything to see, in the window or in an image.
+
+    Attributes
+    ----------
+    client : int
+        PyBullet's id of the client.
+    time_step : float
+        Length of a time step, s.
+    show : bool
+        Whether bodies have visual shapes.
+
+    Raises
+    ------
+    RenderError
+        Where a window is asked for and none can be opened.
+
+    Examples
+    --------
+    >>> import fracsim
+    >>> from fracsim.physics.scene import Scene
+    >>> scene = Scene(1 / 240)
+    >>> scene.reset()
+    >>> world = fracsim.World(scene.client)
+    >>> body = world.add(fracsim.load("vase"), position=(0, 0, 1))
+    >>> scene.close()
     """
 
     def __init__(self, time_step: float, window: bool = False, show: bool = False) -> None:
@@ -33,8 +126,12 @@ class Scene:
         if window:
             p.configureDebugVisualizer(p.COV_ENABLE_GUI, 0, physicsClientId=self.client)
 
+    def __getstate__(self) -> NoReturn:
+        """Refuse to be copied or pickled."""
+        raise PhysicsError("a Scene cannot be copied or pickled, as both would step one simulation; make another Scene")
+
     def reset(self) -> None:
-        """Empty the world, which also frees the shapes of removed bodies, and lay the floor."""
+        """Empty the simulation, which also frees the shapes of removed bodies, and lay the floor."""
         client = self.client
         p.resetSimulation(physicsClientId=client)
         p.setPhysicsEngineParameter(
@@ -49,55 +146,117 @@ class Scene:
         floor = p.createMultiBody(0.0, shape, visual, physicsClientId=client)
         if self.show:
             p.createMultiBody(0.0, -1, _tiles(client, 1), physicsClientId=client)
-        # The engine multiplies the two restitutions, so that the object's own is what counts here.
+        # The engine multiplies the two restitutions, so that only the object's own counts here.
         p.changeDynamics(floor, -1, lateralFriction=1.0, restitution=1.0, physicsClientId=client)
 
+    def placement(self, body: int) -> Placement:
+        """Ask where a body is.
+
+        Parameters
+        ----------
+        body : int
+            PyBullet's id of the body.
+
+        Returns
+        -------
+        Placement
+            Centre of mass (x, y, z), m, and the quaternion (x, y, z, w) of its principal axes; world frame.
+        """
+        placement: Placement = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
+        return placement
+
+    def motion(self, body: int) -> Motion:
+        """Ask how a body moves.
+
+        Parameters
+        ----------
+        body : int
+            PyBullet's id of the body.
+
+        Returns
+        -------
+        Motion
+            Velocity of the centre of mass, m/s, and angular velocity, rad/s; world frame.
+        """
+        motion: Motion = p.getBaseVelocity(body, physicsClientId=self.client)
+        return motion
+
     def push(self, body: int, force: FloatArray, torque: FloatArray) -> None:
-        """Act on a body's centre of mass during the next step; N and N·m, world frame."""
-        center, _ = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
+        """Act on a body's centre of mass during the next step.
+
+        Parameters
+        ----------
+        body : int
+            PyBullet's id of the body.
+        force : ndarray of float64, shape (3,)
+            N, world frame.
+        torque : ndarray of float64, shape (3,)
+            N·m, world frame.
+        """
+        center, _ = self.placement(body)
         p.applyExternalForce(body, -1, force.tolist(), center, p.WORLD_FRAME, physicsClientId=self.client)
         p.applyExternalTorque(body, -1, torque.tolist(), p.WORLD_FRAME, physicsClientId=self.client)
 
     def image(self, eye: Sequence[float], target: Sequence[float], width: int, height: int) -> ByteArray:
-        """(height, width, 3) what a camera at `eye` sees, drawn in software.
+        """Draw what a camera sees, in software.
 
-        The renderer speckles lit surfaces with their own shadow. So the shadow is what an image without any
-        has over one with them, kept where it is dense.
+        Parameters
+        ----------
+        eye, target : sequence of float, length 3
+            Where the camera is and what it looks at, m.
+        width, height : int
+            Size of the image, pixels.
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width, 3)
+            Red, green and blue.
+
+        Notes
+        -----
+        The renderer speckles lit surfaces with their own shadow. So the shadow is the difference of an image without
+        any and one with them, kept where it is dense.
         """
         lit, dark = (self._draw(eye, target, width, height, shadow) for shadow in (0, 1))
         lost = lit - dark  # (height, width, 3)
-        cover = uniform_filter((lost.max(axis=2) > 2.0).astype(np.float32), 7)[..., None]
-        depth = uniform_filter(lost, (7, 7, 1)) / np.maximum(cover, 1e-3)
-        shaded = lit - depth * np.clip((cover - 0.55) / 0.3, 0.0, 1.0)
+        window = CAMERA.shadow_window
+        begin, full = CAMERA.shadow_cover
+        cover = uniform_filter((lost.max(axis=2) > CAMERA.shadow_step).astype(np.float32), window)[..., None]
+        depth = uniform_filter(lost, (window, window, 1)) / np.maximum(cover, 1e-3)
+        shaded = lit - depth * np.clip((cover - begin) / (full - begin), 0.0, 1.0)
         image: ByteArray = np.clip(np.rint(shaded), 0.0, 255.0).astype(np.uint8)
         return image
 
     def _draw(
         self, eye: Sequence[float], target: Sequence[float], width: int, height: int, shadow: int
     ) -> npt.NDArray[np.float32]:
+        """Draw with or without shadows, shape (height, width, 3)."""
         pixels = p.getCameraImage(
             width,
             height,
             p.computeViewMatrix(eye, target, (0.0, 0.0, 1.0)),
-            p.computeProjectionMatrixFOV(40.0, width / height, 0.05, 50.0),
-            lightDirection=(-1.0, -1.5, 3.0),
-            lightDistance=4.0,
+            p.computeProjectionMatrixFOV(CAMERA.field_of_view, width / height, CAMERA.near, CAMERA.far),
+            lightDirection=CAMERA.light,
+            lightDistance=CAMERA.light_distance,
             shadow=shadow,
-            lightAmbientCoeff=0.55,
-            lightDiffuseCoeff=0.5,
-            lightSpecularCoeff=0.1,
+            lightAmbientCoeff=CAMERA.ambient,
+            lightDiffuseCoeff=CAMERA.diffuse,
+            lightSpecularCoeff=CAMERA.specular,
             renderer=p.ER_TINY_RENDERER,
             physicsClientId=self.client,
         )[2]
-        return np.reshape(pixels, (height, width, 4))[..., :3].astype(np.float32)
+        # An array, or a flat tuple where PyBullet was built without numpy (isNumpyEnabled() is 0).
+        image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
+        return image[..., :3].astype(np.float32)
 
     def close(self) -> None:
+        """Disconnect the client; a second time does nothing."""
         if p.getConnectionInfo(self.client)["isConnected"]:
             p.disconnect(self.client)
 
 
 def _tiles(client: int, parity: int, count: int = 24, side: float = 0.25) -> int:
-    """Every second tile of a chequered floor, as one visual shape."""
+    """Make every second tile of a chequered floor, count × count tiles of `side` m, as one visual shape."""
     index = np.arange(count)
     i, j = (axis.ravel() for axis in np.meshgrid(index, index))
     origin = np.stack([i, j], axis=1)[(i + j) % 2 == parity] - count / 2

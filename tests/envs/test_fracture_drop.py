@@ -78,7 +78,7 @@ def test_the_lowest_point_starts_at_the_drop_height(make):
     env = make(drop_height=0.7).unwrapped
     for seed in range(3):
         env.reset(seed=seed)
-        position, orientation = env._world.pose(env._body)
+        position, orientation = env.stage.world.pose(env.stage.body)
         rotation = np.reshape(p.getMatrixFromQuaternion(orientation), (3, 3))
         assert (env.asset.vertices @ rotation.T + position)[:, 2].min() == pytest.approx(0.7)
 
@@ -152,15 +152,37 @@ def test_environments_share_a_process_without_touching_each_other(make):
 
 
 def test_images_show_the_fall_and_the_landing(make):
-    env = make(render_mode="rgb_array", width=96, height=72)
-    env.reset(seed=1)
+    """The object is warm in colour, and the floor and the sky are grey: red beyond blue is the object."""
+
+    def warm(image):
+        red, _, blue = np.moveaxis(image.astype(int), -1, 0)
+        return red - blue > 12
+
+    env = make(mesh=SlabBox(density=300.0, toughness=1e9), render_mode="rgb_array", width=96, height=72)
+    env.reset(seed=1, options={"orientation": (0, 0, 0, 1)})
     first = env.render()
     assert first.shape == (72, 96, 3)
     assert first.dtype == np.uint8
-    assert first.std() > 5
+    assert 30 < warm(first).sum() < 0.2 * 96 * 72
     for _ in range(40):
         env.step(np.zeros(6, np.float32))
-    assert (env.render() != first).mean() > 0.02
+    last = env.render()
+    assert 0.7 < warm(last).sum() / warm(first).sum() < 1.4  # as large, and further down
+    high, low = (np.argwhere(warm(image)).mean(axis=0) for image in (first, last))
+    assert low[0] - high[0] > 15
+    assert abs(low[1] - high[1]) < 3
+
+
+def test_what_has_broken_is_drawn_in_pieces_of_several_colours(make):
+    env = make(render_mode="rgb_array", width=96, height=72)
+    env.reset(seed=1)
+    info = {"pieces": 1}
+    whole = env.render()
+    while info["pieces"] == 1:
+        *_, info = env.step(np.zeros(6, np.float32))
+    pieces = env.render()
+    changed = np.abs(pieces.astype(int) - whole).max(axis=2) > 20
+    assert 60 < changed.sum() < 0.4 * 96 * 72  # gone from above, and new on the floor
 
 
 def test_a_window_without_a_display_is_refused_before_it_kills_the_process(monkeypatch):
@@ -228,7 +250,7 @@ def test_what_is_done_before_a_reset_or_after_the_close_is_refused_by_name(make)
 
 def test_closing_twice_is_fine_and_frees_the_client(make):
     env = make().unwrapped
-    client = env._scene.client
+    client = env.stage.scene.client
     env.close()
     env.close()
     assert not p.getConnectionInfo(client)["isConnected"]
