@@ -162,14 +162,14 @@ class Activity:
         """Find out anew what there is besides; ids of removed bodies are handed out again."""
         engine = self.engine
         self._planes.clear()
-        engine.forget_joints()
+        engine.joints.forget()
         self.tokens = {body: mark for body, mark in self.tokens.items() if engine.is_marked(body, mark)}
         self._seen = ()
         self._foreign = frozenset(
             body for body in engine.body_ids() if body not in self.tokens and not engine.is_static(body)
         )
         self._moving = False
-        self._tied = engine.constrained_to(self.records)
+        self._tied = engine.constraints.joined_to(self.records)
         last = self._census[1]
         if last in self.tokens:
             self._last = last, self.tokens[last]
@@ -376,7 +376,7 @@ class Activity:
                     break
         self._before, self._rates = self._now, self._rates_now
         self._now = engine.motions(near)
-        self._rates_now = {body: engine.joint_rates(body) for body, link in self._now if link < 0}
+        self._rates_now = {body: engine.joints.rates(body) for body, link in self._now if link < 0}
 
     def _beside(self, dt: float) -> dict[int, list[tuple[int, int]]]:
         """(body, link) of what moves so near to each body that it may have touched it in the last step, or will in the

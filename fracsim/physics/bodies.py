@@ -105,15 +105,15 @@ def spawn(
     spin = tuple(pose.angular.tolist())
     bodies = []
     for k, solid in enumerate(solids):
-        visual = engine.invisible_shape()
+        visual = None
         if colors is not None:
             local = (solid.vertices - centers[k]) @ axes[k]
-            visual = engine.create_visual(local, solid.faces, colors[k % len(colors)])
+            visual = engine.shapes.visual(local, solid.faces, colors[k % len(colors)])
         parts = solid.convex_parts
-        frame = tuple(((parts.offset - centers[k]) @ axes[k]).tolist()), frames[k]
+        frame = tuple(((parts.offset - centers[k]) @ axes[k]).tolist()), tuple(frames[k])
         motion = tuple(speeds[k].tolist()), spin
         mass = heavier * float(solid.mass)
         place = places[k], ways[k]
-        body = engine.create_body(parts, frame, mass, moments[k].tolist(), place, motion, surface, visual)
+        body = engine.shapes.create_body(parts, frame, mass, moments[k].tolist(), place, motion, surface, visual)
         bodies.append(Body(body, engine.mark(body), mass, centers[k], axes[k], moments[k]))
     return bodies

@@ -1,4 +1,4 @@
-"""TODO physics.rotations."""
+"""Rotations as quaternions and matrices, the way PyBullet has them; the whole room takes them from here."""
 
 from __future__ import annotations
 
@@ -10,13 +10,37 @@ import pybullet as p
 from scipy.spatial.transform import Rotation
 
 from ..common.arrays import FloatArray
-from ..geometry.frames import cross as cross
-from .states import Triple
+from .states import Quaternion, Triple
 
 
-def integrate_rotation(quaternion: Sequence[float], angular: Triple, time: float) -> tuple[float, float, float, float]:
-    """A unit quaternion (x, y, z, w) after turning for so long, in plain numbers: scipy's checks of its arguments take
-    longer than one rotation."""
+def integrate_rotation(quaternion: Sequence[float], angular: Triple, time: float) -> Quaternion:
+    """Turn a rotation on at a constant angular velocity.
+
+    Parameters
+    ----------
+    quaternion : sequence of float, length 4
+        Unit quaternion (x, y, z, w).
+    angular : tuple of float
+        Angular velocity (x, y, z), rad/s, world frame.
+    time : float
+        For how long, s; negative turns back.
+
+    Returns
+    -------
+    tuple of float
+        Unit quaternion (x, y, z, w).
+
+    Notes
+    -----
+    In plain numbers: SciPy's checks of its arguments take longer than one rotation.
+
+    Examples
+    --------
+    >>> import math
+    >>> turned = integrate_rotation((0, 0, 0, 1), (0, 0, math.pi), 1.0)  # half a turn about z
+    >>> [round(value, 6) for value in turned]
+    [0.0, 0.0, 1.0, 0.0]
+    """
     speed = math.hypot(*angular)
     half = 0.5 * speed * time
     share = math.sin(half) / speed if speed > 0.0 else 0.0
@@ -31,10 +55,32 @@ def integrate_rotation(quaternion: Sequence[float], angular: Triple, time: float
 
 
 def rotation_of(quaternion: Sequence[float]) -> FloatArray:
-    """Quaternion (x, y, z, w) -> rotation matrix (3, 3)."""
+    """Convert a quaternion to a matrix.
+
+    Parameters
+    ----------
+    quaternion : sequence of float, length 4
+        Unit quaternion (x, y, z, w).
+
+    Returns
+    -------
+    ndarray of float64, shape (3, 3)
+        Rotation matrix.
+    """
     return np.array(p.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
 
 
 def quaternion_of(rotation: FloatArray) -> FloatArray:
-    """Rotation matrix (3, 3) -> unit quaternion (x, y, z, w)."""
+    """Convert a matrix to a quaternion.
+
+    Parameters
+    ----------
+    rotation : ndarray of float64, shape (3, 3)
+        Rotation matrix.
+
+    Returns
+    -------
+    ndarray of float64, shape (4,)
+        Unit quaternion (x, y, z, w).
+    """
     return np.asarray(Rotation.from_matrix(rotation).as_quat())
