@@ -25,7 +25,7 @@ from fracsim.simulators.base import Impacts, merge_small_pieces_each
 from fracsim.simulators.elastic import elastic_simulator, single_impacts
 from fracsim.simulators.elastic_fem import ElasticBody, mesh_edge, tetrahedralise
 from fracsim.simulators.modal import ModalSimulator, modal_simulator
-from fracsim.solids.solid import sum_by_index, surface_cells
+from fracsim.solids.solid import sum_by_index
 from fracsim.solids.surface import read_surface, refine
 
 RESULTS = Path(__file__).parent / "results"
@@ -70,7 +70,7 @@ def fractures(modal: ModalSimulator, drive: np.ndarray) -> np.ndarray:
     labels = merge_small_pieces_each(
         components(whole, pairs, count), modal.cells.volumes, modal.interfaces, modal.min_piece_volume_fraction
     )
-    return labels[:, surface_cells(modal.cells, len(modal.surface.vertices))]
+    return labels[:, modal.cells.vertex_cells(len(modal.surface.vertices))]
 
 
 def agreement(modal: ModalSimulator, left: np.ndarray, right: np.ndarray) -> dict:

@@ -23,7 +23,7 @@ from udf import CELLS, FRACTURES, MESHES, RESULTS, SEED, fractures
 from fracsim.geometry.complex import CellComplex
 from fracsim.simulators.modal import ModalSimulator, modal_simulator
 from fracsim.solids.geodesics import crack_segments
-from fracsim.solids.solid import Solid, surface_cells
+from fracsim.solids.solid import Solid
 from fracsim.solids.surface import read_surface, refine
 
 FloatArray = npt.NDArray[np.float64]
@@ -74,7 +74,7 @@ def containment(truth: ModalSimulator) -> dict[str, float]:
     """Asks every part's closed surface which vertices, moved inward, it holds."""
     parts, mesh = truth.cells, truth.surface.trimesh
     points = truth.surface.vertices - INWARD * mesh.vertex_normals  # weighted by angle
-    label = surface_cells(parts, len(points))
+    label = parts.vertex_cells(len(points))
     complex_ = CellComplex(parts.points, parts.triangles, parts.sides)
     holders = np.zeros(len(points), dtype=np.int64)
     right = np.zeros(len(points), dtype=bool)
@@ -112,7 +112,7 @@ def mappings(truth: ModalSimulator) -> dict[str, IntArray]:
     cage = vertices[chosen] + OFFSET * mesh.vertex_normals[chosen]
     of_cage = truth.fine_to_cell[cells.query(cage)[1]]
     return {
-        OURS: surface_cells(truth.cells, len(vertices)),
+        OURS: truth.cells.vertex_cells(len(vertices)),
         CENTROID: truth.fine_to_cell[cells.query(vertices)[1]],
         CAGE: of_cage[cKDTree(cage).query(vertices)[1]],
     }

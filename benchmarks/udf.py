@@ -34,7 +34,7 @@ from fracsim.solids.cut import DegenerateCut, cut_once, join_slivers
 from fracsim.solids.geodesics import CAP, CurveDistances, split_in_four
 from fracsim.solids.lattice import tilted_lattice
 from fracsim.solids.polygons import coarsen
-from fracsim.solids.solid import Solid, relabel, surface_cells
+from fracsim.solids.solid import Solid, relabel
 from fracsim.solids.surface import Surface, read_surface, refine
 
 try:
@@ -84,7 +84,7 @@ def with_midpoints(values: FloatArray, edges: IntArray) -> FloatArray:
 
 def vertices_beside(solid: Solid, surface: Surface, edges: IntArray) -> Callable[[IntArray], IntArray]:
     """From labels to the vertices that have a neighbour on another piece."""
-    part = surface_cells(solid, len(surface.vertices))
+    part = solid.vertex_cells(len(surface.vertices))
     return lambda labels: np.unique(edges[labels[part[edges[:, 0]]] != labels[part[edges[:, 1]]]])
 
 

@@ -1,11 +1,15 @@
-"""Baking: a mesh to an asset, stage by stage. Offline only."""
+"""Baking, the offline flow on one page: a mesh becomes an asset that breaks in real time.
+
+``bake`` calls the offline rooms in their order (solids, simulators, data, learning) and hands on what each makes.
+Commands and users enter here; nothing that runs in a simulation does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,20 +20,18 @@ from .common.progress import Stages
 from .data.samples import Samples, sample
 from .fracture.arrays import AssetArrays, SimulatorRecord
 from .fracture.asset import BreakableAsset
-from .geometry.complex import CellComplex
 from .learning.asset_figures import evaluate_asset
 from .learning.atoms import Atoms, atoms_for, observe_fractures
 from .learning.body import BodyGeometry
 from .learning.field import FieldModel, FieldOptions
 from .learning.trainer import Run
 from .metrics import ari
-from .simulators.base import FractureSimulator
+from .simulators import SIMULATORS, simulator_class
+from .simulators.base import Described, FractureSimulator, ImpactField
 from .simulators.diffusion import impact_field
-from .simulators.modal import ModalSimulator
-from .simulators.registry import SimulatorOptions, make_simulator
+from .simulators.registry import SimulatorOptions, make_simulator, options_for
 from .solids.convex import convex_arrays
 from .solids.geodesics import CAP
-from .solids.solid import surface_cells
 from .solids.surface import Surface, read_surface, refine
 
 if TYPE_CHECKING:
@@ -40,13 +42,38 @@ try:
 except ImportError as error:
     raise MissingExtraError("threadpoolctl", "bake") from error
 
+TRAIN = 0  # the split that a model learns from; see ``Samples.split``
+SINGLE_CONTACT = 0  # the kind of impact with one contact; see ``Samples.kind``
+LEAST = {"samples": 500, "evaluated": 50, "workers": 1}  # below them there is nothing to learn from or to measure
+
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """truth: "modal", or another of ``simulator.TRUTHS``. cells: of the solid. modes: fracture modes.
-    samples: impulses to learn from and be tested on. min_piece_volume_fraction: of the volume; smaller pieces join a neighbour.
-    evaluated: test impulses that the figures are taken over, at most. workers: processes. model: the options of the
-    field model; without, ``model_for`` the truth.
+    """How fine, from how much, and with which simulator and model to bake.
+
+    Attributes
+    ----------
+    simulator : str
+        A registered simulator: "modal", "elastic", "radial", or one of your own.
+    cells : int
+        About how many cells the body is cut into.
+    modes : int
+        Fracture modes, for a simulator that has them.
+    samples : int
+        Impacts to learn from and be tested on, at least 500.
+    min_piece_volume_fraction : float
+        Pieces of less than this fraction of the body's volume join a neighbour.
+    evaluated : int
+        Test impacts that the figures are taken over, at most; at least 50.
+    workers : int
+        Processes that draw samples.
+    model : FieldOptions, optional
+        The options of the field model; ``model_for`` the simulator by default.
+
+    Raises
+    ------
+    BakeError
+        If a value is out of range, or no simulator has that name.
     """
 
     simulator: str = "modal"
@@ -59,20 +86,39 @@ class BakeOptions:
     model: FieldOptions | None = None
 
     def __post_init__(self) -> None:
-        least = {"cells": 50, "modes": 0, "samples": 500, "evaluated": 50, "workers": 1}
-        for name, value in least.items():
-            if getattr(self, name) < value:
-                raise BakeError(f"{name} must be at least {value}, got {getattr(self, name)}")
-        _ = self.simulator_options  # checks the truth's name
+        values = vars(self)
+        for name, limit in LEAST.items():
+            if values[name] < limit:
+                raise BakeError(f"{name} must be at least {limit}, got {values[name]}")
+        _ = self.simulator_options  # checks the rest
 
     @property
     def simulator_options(self) -> SimulatorOptions:
-        return SimulatorOptions(self.simulator, self.cells, self.modes, self.min_piece_volume_fraction)
+        """What the simulator is built with."""
+        return options_for(
+            self.simulator,
+            cells=self.cells,
+            modes=self.modes,
+            min_piece_volume_fraction=self.min_piece_volume_fraction,
+        )
 
 
-def model_for(truth: str) -> FieldOptions:
-    """The field model's options for a truth: any but the modal needs a response of every interface's own."""
-    return FieldOptions(response=truth != "modal")
+def model_for(simulator: str) -> FieldOptions:
+    """Choose the field model's options for a simulator.
+
+    Parameters
+    ----------
+    simulator : str
+        Its name. Of a simulator that is not registered, the name of its class.
+
+    Returns
+    -------
+    FieldOptions
+        With a response for every interface of its own, unless the simulator is driven by an impact field, which the
+        asset carries.
+    """
+    driven = simulator in SIMULATORS and simulator_class(simulator).driven_by_impact_field
+    return FieldOptions(response=not driven)
 
 
 def bake(
@@ -83,92 +129,135 @@ def bake(
     progress: bool = False,
     simulator: Callable[[Surface], FractureSimulator] | None = None,
 ) -> BreakableAsset:
-    """Make a breakable asset of a watertight surface of one component, in metres.
+    """Make a breakable asset of a watertight surface of one component.
 
-    source: a path to any format trimesh reads, or a Trimesh. progress: a bar a stage, on standard error.
-    Edges longer than 0.08 of the size are split first, so a coarse mesh comes out with more vertices.
-    simulator: makes a truth of one's own for the surface; else ``options.truth`` names it.
-    The asset's ``metadata`` holds the stages' times and the model's figures on held-out impulses. Raises
-    MeshError for a surface that cannot be baked and BakeError when a stage fails.
+    Parameters
+    ----------
+    source : path or trimesh.Trimesh
+        In metres; a path to any format that trimesh reads. Edges longer than 0.08 of the size are split first, so a
+        coarse mesh comes out with more vertices.
+    material : str or Material
+        What it is made of.
+    seed : int
+        The same seed gives the same asset, bit by bit, with a simulator that repeats itself.
+    options : BakeOptions, optional
+        How to bake.
+    progress : bool
+        Whether to show a bar for each stage, on standard error.
+    simulator : callable, optional
+        Makes a simulator of your own for the surface; without it ``options.simulator`` names one.
+
+    Returns
+    -------
+    BreakableAsset
+        Its ``metadata`` holds the seconds of each stage and the model's figures on held-out impacts.
+
+    Raises
+    ------
+    MeshError
+        If the surface cannot be baked.
+    BakeError
+        If a stage fails.
     """
     options = options or BakeOptions()
-    chosen = as_material(material)
+    chosen_material = as_material(material)
     with threadpool_limits(1), Stages(progress) as stage:  # sums in one order, whatever the machine
         stage("validate")
         surface = refine(read_surface(source))
         if simulator is None:
-            kind = options.simulator
-            truth = make_simulator(surface, options.simulator_options, seed, stage)
+            name = options.simulator
+            made: FractureSimulator = make_simulator(surface, options.simulator_options, seed, stage)
         else:
             stage("simulator")
-            truth = simulator(surface)
-            kind = type(truth).__name__
+            made = simulator(surface)
+            name = type(made).__name__
         stage("atoms")
-        watched = observe_fractures(truth, seed)
-        atoms = atoms_for(truth, watched, options.min_piece_volume_fraction)
-        cells, solid, interfaces = atoms.fine_cells, atoms.solid, atoms.interfaces
+        observed = observe_fractures(made, seed)
+        atoms = atoms_for(made, observed, options.min_piece_volume_fraction)
         stage("impact")
-        rows = (
-            truth.impact_field
-            if isinstance(truth, ModalSimulator)
-            else impact_field(cells, atoms.fine_to_atom, surface.vertices)
+        field = (
+            made.impact_field
+            if isinstance(made, ImpactField)
+            else impact_field(atoms.fine_cells, atoms.fine_to_atom, surface.vertices)
         )
         body = BodyGeometry.of(surface, atoms, stage.ticker("distances"))
-        tick = stage.ticker("samples")
-        samples = sample(truth, options.samples, seed, tick, options.workers, transform=atoms.project, begun=watched)
-        tick = stage.ticker("training")
-        model, figures = FieldModel.fit(body, samples, options.model or model_for(kind), seed, Run(progress=tick))
-        complex_ = CellComplex(solid.points, solid.triangles, solid.sides)
-        convex = convex_arrays(
-            complex_, (surface.vertices, surface.faces), interfaces.pairs, interfaces.normals, stage.ticker
+        samples = sample(
+            made,
+            options.samples,
+            seed,
+            stage.ticker("samples"),
+            options.workers,
+            transform=atoms.project,
+            begun=observed,
         )
+        model, training = FieldModel.fit(
+            body, samples, options.model or model_for(name), seed, Run(progress=stage.ticker("training"))
+        )
+        whole, joints = (surface.vertices, surface.faces), atoms.interfaces
         arrays = AssetArrays(
             faces=surface.faces,
-            points=solid.points,
-            triangles=solid.triangles,
-            sides=solid.sides,
-            impact_field=rows.astype(np.float32),
-            pairs=interfaces.pairs,
-            areas=interfaces.areas,
-            normals=interfaces.normals,
-            projected=interfaces.projected,
+            points=atoms.solid.points,
+            triangles=atoms.solid.triangles,
+            sides=atoms.solid.sides,
+            impact_field=field.astype(np.float32),
+            pairs=joints.pairs,
+            areas=joints.areas,
+            normals=joints.normals,
+            projected=joints.projected,
             distances=body.distances[:, : len(surface.vertices)].astype(np.float16),
             interface_vertices=body.interface_vertices,
-            **convex,
+            **convex_arrays(atoms.solid, whole, joints.pairs, joints.normals, stage.ticker),
         )
-        given = _truth(kind, samples)
-        name = Path(surface.name).stem
-        floor = options.min_piece_volume_fraction
-        asset = BreakableAsset(name, chosen, surface.scale, surface.offset, CAP, floor, arrays, model.net, {}, given)
+        asset = BreakableAsset(
+            Path(surface.name).stem,
+            chosen_material,
+            surface.scale,
+            surface.offset,
+            CAP,
+            options.min_piece_volume_fraction,
+            arrays,
+            model.net,
+            {},
+            _record(name, samples),
+        )
         test = evaluate_asset(asset, body, samples, options.evaluated, stage.ticker("evaluation"))
         if not atoms.are_the_simulators:
-            test["ari_of_the_atoms"] = _atoms_ari(truth, atoms, watched[0])
-    asset.metadata.update(
-        {
-            "fracsim": __version__,
-            "seed": seed,
-            "options": asdict(options),
-            "simulator": kind,
-            "seconds": {**stage.seconds, "total": sum(stage.seconds.values())},
-            "counts": {
-                "vertices": len(surface.vertices),
-                "cells": len(cells.volumes),
-                "atoms": len(solid.volumes),
-                "interfaces": len(interfaces),
-                "hulls": len(arrays.hull_sizes),
-                "body_hulls": len(arrays.body_sizes),
-            },
-            "training": figures,
-            "test": test,
-        }
-    )
-    if isinstance(truth, ModalSimulator):
-        asset.metadata["mode_energies"] = [history[-1] for history in truth.energies]
+            test["ari_of_the_atoms"] = _atoms_ari(made, atoms, observed[0])
+    metadata: dict[str, Any] = {
+        "fracsim": __version__,
+        "seed": seed,
+        "options": asdict(options),
+        "simulator": name,
+        "seconds": {**stage.seconds, "total": sum(stage.seconds.values())},
+        "counts": {
+            "vertices": len(surface.vertices),
+            "cells": len(atoms.fine_cells.volumes),
+            "atoms": len(atoms.solid.volumes),
+            "interfaces": len(joints),
+            "hulls": len(arrays.hull_sizes),
+            "body_hulls": len(arrays.body_sizes),
+        },
+        "training": training,
+        "test": test,
+        **(made.figures() if isinstance(made, Described) else {}),
+    }
+    asset.metadata.update(metadata)
     return asset
 
 
 def remake_convex(asset: BreakableAsset) -> BreakableAsset:
-    """The same asset with the convex parts that a bake would give it now; all else is as it was."""
+    """Make an asset's convex parts again, as a bake would make them now.
+
+    Parameters
+    ----------
+    asset : BreakableAsset
+        Of any size and material.
+
+    Returns
+    -------
+    BreakableAsset
+        All else is as it was.
+    """
     arrays = asset.arrays
     with threadpool_limits(1):
         whole = (arrays.points[: asset.vertex_count], arrays.faces)
@@ -178,21 +267,22 @@ def remake_convex(asset: BreakableAsset) -> BreakableAsset:
     return replace(asset, arrays=arrays, metadata=metadata)
 
 
-def _truth(kind: str, samples: Samples) -> SimulatorRecord:
-    train = samples.of_split(0)
+def _record(name: str, samples: Samples) -> SimulatorRecord:
+    """Keep what the asset has to know of its simulator: how severe an impact must be to break anything."""
+    train = samples.of_split(TRAIN)
     total = train.severities.sum(axis=1)
     broke = train.labels.any(axis=1)
     if not broke.any():
-        raise BakeError("no training impulse breaks the body; its truth has nothing to teach")
-    single = train.kind == 0
-    return SimulatorRecord(kind, 0.5 * float(total[broke].min()), float(np.median((total / train.ratio)[single])))
+        raise BakeError("no training impact breaks the body, so there is nothing to learn; its simulator is too strong")
+    single = train.kind == SINGLE_CONTACT
+    typical = float(np.median((total / train.ratio)[single]))
+    return SimulatorRecord(name, 0.5 * float(total[broke].min()), typical)
 
 
-def _atoms_ari(truth: FractureSimulator, atoms: Atoms, block: Samples) -> float:
-    """How well atoms can say what a truth that cuts freely does: mean ARI at the vertices over a block's held-out
-    fractures."""
-    held_out = block.take((block.split != 0) & block.labels.any(axis=1))
-    count = len(truth.surface.vertices)
-    vertex_cell, vertex_atom = surface_cells(truth.cells, count), surface_cells(atoms.solid, count)
+def _atoms_ari(simulator: FractureSimulator, atoms: Atoms, block: Samples) -> float:
+    """Score how well atoms can express the free pieces of a simulator: mean ARI at the vertices, held-out fractures."""
+    held_out = block.take((block.split != TRAIN) & block.labels.any(axis=1))
+    count = len(simulator.surface.vertices)
+    vertex_cell, vertex_atom = simulator.cells.vertex_cells(count), atoms.solid.vertex_cells(count)
     rows = zip(held_out.labels[:, vertex_cell], atoms.project(held_out).labels[:, vertex_atom], strict=True)
-    return float(np.mean([ari(free, built) for free, built in rows]))
+    return float(np.mean([ari(free, merged) for free, merged in rows]))

@@ -1,8 +1,8 @@
-"""The solid: a jittered tetrahedral lattice cut, exactly and conformingly, by the input surface.
+"""The solid: a body cut into cells whose volumes, shared areas and outer faces are those of the real body.
 
-Cutting the lattice with the surface itself, rather than meshing a cage around it, gives cells whose volumes,
-shared areas and outer faces are those of the real body however thin its walls are: every later question
-(which piece is this vertex in, where does the crack meet the surface) has an exact answer. Offline only.
+``cut`` makes it by cutting a lattice with the surface itself rather than by meshing a cage around it, so every later
+question (which piece is this vertex in, where does the crack meet the surface) has an exact answer however thin the
+body's walls are. Offline only; the simulators and all that learns from them use it.
 """
 
 from __future__ import annotations
@@ -15,31 +15,49 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import FloatArray, IntArray
-from ..geometry.complex import vertex_cells
+from ..geometry.complex import CellComplex
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
-    """A body as a conforming complex of cells: each a connected part of one tetrahedron, or several joined.
+class Solid(CellComplex):
+    """A body as a complex of C cells that knows where its outer faces come from and how large its cells are.
 
-    points: (P, 3); the first V are the surface's vertices, in order.
-    triangles: (M, 3) into points. sides: (M, 2), the cells behind and before each triangle, -1 outside;
-    the normal points from the first to the second, so outer triangles face outward.
-    source: (M,) the input face that an outer triangle is a part of, -1 for inner triangles.
-    volumes: (C,); they add up to the body's. centroids: (C, 3).
+    Each cell is a connected part of one tetrahedron of a lattice, or several joined.
+
+    Attributes
+    ----------
+    points, triangles, sides : ndarray
+        As of ``CellComplex``. The first V points are the surface's vertices, in order.
+    source : ndarray of int64, shape (M,)
+        The face of the input surface that an outer triangle is a part of; -1 for inner triangles.
+    volumes : ndarray of float64, shape (C,)
+        In units of the largest extent cubed; they add up to the body's.
+    centroids : ndarray of float64, shape (C, 3)
+        In units of the largest extent.
     """
 
-    points: FloatArray
-    triangles: IntArray
-    sides: IntArray
     source: IntArray
     volumes: FloatArray
     centroids: FloatArray
 
 
 def shared_faces(triangles: IntArray, sides: IntArray, points: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """What neighbouring regions share: pairs (I, 2) with first < second, areas (I,), and the vector areas
-    (I, 3) that point from the first to the second."""
+    """Measure what neighbouring cells share.
+
+    Parameters
+    ----------
+    triangles, sides, points : ndarray
+        Of a ``CellComplex``.
+
+    Returns
+    -------
+    pairs : ndarray of int64, shape (I, 2)
+        Cells that share an area, the smaller index first.
+    areas : ndarray of float64, shape (I,)
+        The area that they share.
+    vectors : ndarray of float64, shape (I, 3)
+        The sum of its triangles' area vectors, which point from the first cell to the second.
+    """
     inner = (sides >= 0).all(axis=1) & (sides[:, 0] != sides[:, 1])
     corner = points[triangles[inner]]
     vector = 0.5 * np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -52,7 +70,28 @@ def shared_faces(triangles: IntArray, sides: IntArray, points: FloatArray) -> tu
 
 
 def sum_by_index(index: IntArray, values: FloatArray, count: int) -> FloatArray:
-    """Rows of ``values`` (N,) or (N, k) added up by their ``index`` (N,): (count,) or (count, k)."""
+    """Add up the values that have the same index.
+
+    Parameters
+    ----------
+    index : ndarray of int64, shape (N,)
+        From 0 to ``count - 1``.
+    values : ndarray of float64, shape (N,) or (N, k)
+        One row for each index.
+    count : int
+        How many sums.
+
+    Returns
+    -------
+    ndarray of float64, shape (count,) or (count, k)
+        The sums; 0 where an index does not occur.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sum_by_index(np.array([0, 2, 0]), np.array([1.0, 5.0, 2.0]), 3)
+    array([3., 0., 5.])
+    """
     if values.ndim == 1:
         return np.asarray(np.bincount(index, values, minlength=count), dtype=np.float64)
     return np.stack([np.bincount(index, column, minlength=count) for column in values.T], axis=1)
@@ -61,10 +100,38 @@ def sum_by_index(index: IntArray, values: FloatArray, count: int) -> FloatArray:
 def merge_small_regions(
     volumes: FloatArray, pairs: IntArray, bond: FloatArray, floor: float, label: IntArray | None = None
 ) -> IntArray:
-    """Join every region smaller than ``floor`` to the neighbour it is most strongly bound to, until none is.
+    """Join every region of a solid that is too small to the neighbour it is most strongly bound to.
 
-    volumes: (C,). pairs: (I, 2) neighbours. bond: (I,), the strength. label: (C,), the regions to begin with, from 0;
-    each by itself by default. Returns (C,) the region each is now in.
+    Parameters
+    ----------
+    volumes : ndarray of float64, shape (C,)
+        Of the cells.
+    pairs : ndarray of int64, shape (I, 2)
+        Neighbouring cells.
+    bond : ndarray of float64, shape (I,)
+        How strongly they are bound, such as the area they share.
+    floor : float
+        The volume that every region must have, in the unit of ``volumes``.
+    label : ndarray of int64, shape (C,), optional
+        The regions to begin with, numbered from 0; each cell by itself by default.
+
+    Returns
+    -------
+    ndarray of int64, shape (C,)
+        The region that each cell is in now. A region without neighbours stays, however small.
+
+    See Also
+    --------
+    fracsim.fracture.rule.merge_small_pieces : the rule of a break.
+
+    Notes
+    -----
+    This rule is for thousands of small cells. It works in rounds: in each, all small regions, the smallest first, join
+    the neighbour that was best when the round began, except where one of the two has been joined in this round
+    already. ``merge_small_pieces`` is for the few small pieces of one break, at run time: it joins one piece, the
+    smallest, and looks for the next in what has come of it. Where small regions touch each other the two give different
+    regions, so neither can stand in for the other: this one would change which pieces break off, and that one takes a
+    round for every cell.
     """
     label = np.arange(len(volumes)) if label is None else label
     while True:
@@ -74,19 +141,19 @@ def merge_small_regions(
         between = ends[:, 0] != ends[:, 1]
         if not (total < floor).any() or not between.any():
             return label
-        # One at a time, the smallest first: what it joins may no longer be small.
         joint, inverse = np.unique(np.sort(ends[between], axis=1), axis=0, return_inverse=True)
         weight = np.bincount(inverse.reshape(-1), bond[between])
         small = np.argsort(total, kind="stable")
         small = small[total[small] < floor]
         moved = np.zeros(count, dtype=bool)
         target = np.arange(count)
-        best: dict[int, tuple[float, int]] = {}
+        best: dict[int, tuple[float, int]] = {}  # of each region: its strongest bond, and to which region
         for (a, b), w in zip(joint.tolist(), weight.tolist(), strict=True):
             for x, y in ((a, b), (b, a)):
                 if x not in best or (w, -y) > (best[x][0], -best[x][1]):
                     best[x] = (w, y)
         for region in small.tolist():
+            # What another region has joined in this round may no longer be small.
             if region in best and not moved[region] and not moved[best[region][1]]:
                 target[region] = best[region][1]
                 moved[[region, best[region][1]]] = True
@@ -96,7 +163,20 @@ def merge_small_regions(
 
 
 def relabel(solid: Solid, label: IntArray) -> Solid:
-    """The solid with cells joined by ``label`` and the triangles between joined cells dropped."""
+    """Join cells of a solid, and drop the triangles between cells that were joined.
+
+    Parameters
+    ----------
+    solid : Solid
+        Of C cells.
+    label : ndarray of int64, shape (C,)
+        The new cell of each cell, numbered from 0.
+
+    Returns
+    -------
+    Solid
+        With ``label.max() + 1`` cells and the same points.
+    """
     sides = np.where(solid.sides >= 0, label[solid.sides], -1)
     keep = sides[:, 0] != sides[:, 1]
     count = int(label.max()) + 1
@@ -110,11 +190,6 @@ def relabel(solid: Solid, label: IntArray) -> Solid:
         volumes,
         centroids / volumes[:, None],
     )
-
-
-def surface_cells(solid: Solid, count: int) -> IntArray:
-    """(V,) the cell that each of the surface's ``count`` vertices lies on."""
-    return vertex_cells(solid.triangles, solid.sides, len(solid.points))[:count]
 
 
 def solid_to_arrays(solid: Solid, prefix: str = "") -> dict[str, npt.NDArray[Any]]:

@@ -41,7 +41,6 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
     from ..data.dataset import Dataset
     from ..data.samples import Samples
     from ..geometry.sampling import SurfacePoints
-    from ..solids.solid import surface_cells
 
     with Dataset(path) as dataset:
         breaking = [
@@ -53,7 +52,7 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)
         shown = samples.take(_of_every_kind(samples.kind, COLUMNS * ROWS, rng))
         vertices, faces = dataset.surface.vertices, dataset.surface.faces
-        pieces = shown.labels[:, surface_cells(dataset.cells, len(vertices))]
+        pieces = shown.labels[:, dataset.cells.vertex_cells(len(vertices))]
         fields = dataset.fields(shown.labels)[:, : len(vertices)]
         cap = float(dataset.header["cap"])
         name = Path(dataset.surface.name).stem

@@ -22,7 +22,7 @@ from fracsim.simulators.fracture_modes import fracture_modes
 from fracsim.simulators.modal import ModalSimulator
 from fracsim.simulators.registry import SimulatorOptions, make_simulator
 from fracsim.solids.cut import cut_lattice
-from fracsim.solids.solid import Solid, surface_cells
+from fracsim.solids.solid import Solid
 from fracsim.solids.surface import Surface, read_surface, refine
 
 
@@ -182,7 +182,7 @@ def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
     assert projected.labels.shape == (400, len(built.solid.volumes))
     np.testing.assert_array_equal(projected.broken, separated(projected.labels, built.interfaces.pairs))
     count = len(radial.surface.vertices)
-    free, blocks = surface_cells(radial.cells, count), surface_cells(built.solid, count)
+    free, blocks = radial.cells.vertex_cells(count), built.solid.vertex_cells(count)
     broke = drawn.labels.any(axis=1)
     scores = [
         fracsim.metrics.ari(a[free], b[blocks])

@@ -19,7 +19,7 @@ from fracsim.solids.geodesics import (
     split_in_four,
 )
 from fracsim.solids.polygons import coarsen
-from fracsim.solids.solid import merge_small_regions, relabel, shared_faces, surface_cells
+from fracsim.solids.solid import merge_small_regions, relabel, shared_faces
 from fracsim.solids.surface import Surface, read_surface, refine
 
 
@@ -214,7 +214,7 @@ def test_cracks_run_between_parts_along_the_faces_that_they_name(crumbled):
     height = np.einsum("sni,si->sn", solid.points[segments] - corner[:, :1], normal)
     assert np.abs(height).max() < 1e-12
     # Every edge of the surface whose ends lie on different parts is crossed.
-    part = surface_cells(solid, len(surface.vertices))
+    part = solid.vertex_cells(len(surface.vertices))
     _, _, edges, face_edges = split_in_four(surface)
     crossed = np.flatnonzero(part[edges[:, 0]] != part[edges[:, 1]])
     assert np.isin(crossed, face_edges[faces]).all()
@@ -227,7 +227,7 @@ def test_both_sides_of_a_thin_wall_are_on_one_part_but_for_a_wall_s_thickness_ab
     pairs, areas, _ = shared_faces(cells.triangles, cells.sides, cells.points)
     solid = relabel(cells, merge_small_regions(cells.volumes, pairs, areas, 0.05 * cells.volumes.sum()))
     assert len(solid.volumes) > 5
-    part = surface_cells(solid, len(shell.vertices))
+    part = solid.vertex_cells(len(shell.vertices))
     radius = np.linalg.norm(shell.vertices[:, :2], axis=1)
     outside = np.flatnonzero((radius > 0.49) & (np.abs(shell.vertices[:, 2]) < 0.39))
     inside = np.flatnonzero(radius < 0.48)
