@@ -1,15 +1,16 @@
-"""What segmentations make of a field, and what they cost: ``python benchmarks/segmentation.py`` (about 5 minutes).
+"""How good segmentations are, and how long they take: ``python benchmarks/segmentation.py`` (about 5 minutes).
 
-The true fields of FRACTURES impulses that part the bunny (at three resolutions, every face split in three at its
-centroid), the chair and the vase, cut by the thesis's five methods at its parameters, as it states them on a NetworkX
-graph and as we compute them, and by ours: passes at edge midpoints, with and without links, and flooded atoms. Then the
-same on fields that are made worse. For times, run it on a quiet machine.
-Writes benchmarks/results/segmentation.{json,md,png}.
+The true fields of FRACTURES impulses that break the bunny (at three resolutions, every face split in three at its
+centroid), the chair and the vase are segmented by the thesis's five methods at the thesis's parameters, as the thesis
+states them on a NetworkX graph and as we compute them, and by ours: midpoint segmentation, with and without links, and
+the watershed over atoms. Then the same on fields with errors. For times, run it on a quiet machine.
+Writes benchmarks/results/segmentation.{json,md,png}. ``--table`` only writes table and chart again, from the JSON.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +26,7 @@ from fracsim.data.samples import sample
 from fracsim.learning.atoms import atoms_for
 from fracsim.learning.body import BodyGeometry
 from fracsim.metrics import amae, ari
-from fracsim.segmentation import DEFAULTS, METHODS
+from fracsim.segmentation import METHODS
 from fracsim.segmentation.graph import SurfaceGraph
 from fracsim.segmentation.midpoints import midpoint_segmentation
 from fracsim.segmentation.reference import REFERENCES, prepare
@@ -42,14 +43,14 @@ HERE = Path(__file__).parent
 RESULTS = HERE / "results"
 SEED = 0
 FRACTURES = 100
-REPEATS = 3  # of which the fastest counts, as other work on the machine comes between
-TIMED = 3  # fractures that references, and rules without a fast form, are run on
-WORSE = 40  # fractures whose fields are made worse
-HEIGHTS = (0.002, 0.014)  # of passes between atoms: for exact fields, and what a break score of one half leaves
-SLACK = 0.06  # of passes, where fields are not exact
-OURS, LINKED = "passes", "passes, links"
-ATOMS = [f"atoms flooded at {height}" for height in HEIGHTS]
-SLACKER = f"passes, links, slack {SLACK}"
+REPEATS = 3  # of which the fastest counts, because other programs on the machine interrupt
+TIMED = 3  # fractures that the references, and rules without a fast version, are run on
+WORSE = 40  # fractures whose fields get errors
+HEIGHTS = (0.002, 0.014)  # of passes between atoms: for exact fields, and for those of the default model
+SLACK = 0.06  # of midpoint segmentation, where fields are not exact
+OURS, LINKED = "midpoints", "midpoints and links"
+ATOMS = [f"atoms at {height}" for height in HEIGHTS]
+SLACKER = f"midpoints and links, slack {SLACK}"
 LOW = "watershed at 0.05"
 
 
@@ -78,7 +79,7 @@ class Case:
         )[0]
         return whole[self.body.vertex_atom]
 
-    def at_vertices(self, method: str, parameter: float) -> Cut:
+    def at_vertices(self, method: str, parameter: float | None = None) -> Cut:
         return lambda nodes: METHODS[method](self.graph, nodes[: self.count], parameter)
 
     def ours(self) -> dict[str, Cut]:
@@ -89,17 +90,17 @@ class Case:
         }
 
     def tried(self) -> dict[str, Cut]:
-        """Rules that ours took the place of."""
+        """Earlier rules, which midpoint segmentation replaced."""
         return {"mid-rule": self.mid_rule, "saddle merge": self.saddle_merge}
 
     def mid_rule(self, nodes: FloatArray) -> IntArray:
-        """Edges whose middle stands above 0.7 of the mean of their ends, and 0.2 of their length."""
+        """Join edges whose midpoint is above 0.7 of the mean of their ends, and above 0.2 of their length."""
         pairs, middle = self.graph.surface, nodes[self.count :]
         mean = 0.5 * (nodes[pairs.first] + nodes[pairs.second])
         return pairs.connected((middle > 0.2 * self.graph.lengths) & (middle > 0.7 * mean))
 
     def saddle_merge(self, nodes: FloatArray) -> IntArray:
-        """Edges by falling middle join components where it is above 0.08, or 0.8 of the lower of their peaks."""
+        """Join across edges by falling midpoint, where it is above 0.08 or 0.8 of the lower of two peaks."""
         heights, middle = nodes[: self.count], nodes[self.count :]
         parent, peak = list(range(self.count)), heights.tolist()
 
@@ -120,32 +121,32 @@ class Case:
 
 
 def fastest(call: Callable[[], IntArray]) -> tuple[IntArray, float]:
-    """What it returns, and ms."""
-    least = np.inf
+    """What it returns, and the ms of the fastest of several calls."""
+    best = np.inf
     for _ in range(REPEATS):
         begin = time.perf_counter()
         labels = call()
-        least = min(least, (time.perf_counter() - begin) * 1e3)
-    return labels, least
+        best = min(best, (time.perf_counter() - begin) * 1e3)
+    return labels, best
 
 
 def timed(cut: Cut, fields: FloatArray) -> tuple[list[IntArray], list[float]]:
-    cut(fields[0])  # what is worked out once a mesh
+    cut(fields[0])  # fills what is computed once for each mesh
     labels, spent = zip(*[fastest(partial(cut, nodes)) for nodes in fields], strict=True)
     return list(labels), list(spent)
 
 
 def row(case: Case, method: str, labels: list[IntArray], spent: list[float], slow: float | None) -> dict[str, object]:
-    """slow: ms of the reference to stand against."""
-    found = [ari(truth, label) for truth, label in zip(case.truth, labels, strict=False)]
+    """One row of the table. slow: ms of the reference that it is compared with."""
+    scores = [ari(truth, label) for truth, label in zip(case.truth, labels, strict=False)]
     median = float(np.median(spent))
     result = {
         "mesh": case.name,
         "vertices": case.count,
         "method": method,
         "fractures": len(labels),
-        "ari": float(np.mean(found)),
-        "ari_min": float(np.min(found)),
+        "ari": float(np.mean(scores)),
+        "ari_min": float(np.min(scores)),
         "median_ms": median,
         "p99_ms": float(np.quantile(spent, 0.99)),
         "reference_ms": slow,
@@ -161,12 +162,12 @@ def measured(case: Case) -> list[dict[str, object]]:
         labels, spent = [], []
         for nodes in case.nodes[:TIMED]:
             graph = prepare(case.graph, nodes[: case.count])
-            label, least = fastest(partial(reference, graph, DEFAULTS[method]))
+            label, best = fastest(partial(reference, graph, METHODS[method].default))
             labels.append(label)
-            spent.append(least)
+            spent.append(best)
         slow[method] = float(np.median(spent))
         rows.append(row(case, f"{method}, NetworkX", labels, spent, None))
-        fast, spent = timed(case.at_vertices(method, DEFAULTS[method]), case.nodes)
+        fast, spent = timed(case.at_vertices(method), case.nodes)
         if any(ari(a, b) < 1.0 for a, b in zip(labels, fast, strict=False)):
             raise RuntimeError(f"{case.name}: {method} and its reference differ")
         rows.append(row(case, method, fast, spent, slow[method]))
@@ -179,9 +180,10 @@ def measured(case: Case) -> list[dict[str, object]]:
 
 
 def worse(case: Case) -> dict[str, Callable[[FloatArray, np.random.Generator], FloatArray]]:
-    """Ways to spoil a field (V + E,)."""
+    """Functions that add errors to a field (V + E,)."""
     points, faces, _, _ = split_in_four(case.body.surface)
-    a, b = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()  # closed: every edge in both directions
+    # The surface is closed: every edge comes in both directions.
+    a, b = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
     near = sp.coo_array((np.ones(len(a)), (a, b)), shape=(len(points), len(points))) + sp.eye_array(len(points))
     mean = sp.csr_array(sp.diags_array(1.0 / near.sum(axis=1)) @ near)
 
@@ -213,7 +215,7 @@ def worse(case: Case) -> dict[str, Callable[[FloatArray, np.random.Generator], F
 
 def spoiled(case: Case) -> list[dict[str, object]]:
     cuts = {
-        "watershed": case.at_vertices("watershed", DEFAULTS["watershed"]),
+        "watershed": case.at_vertices("watershed"),
         LOW: case.at_vertices("watershed", 0.05),
         **case.tried(),
         LINKED: case.ours()[LINKED],
@@ -221,9 +223,9 @@ def spoiled(case: Case) -> list[dict[str, object]]:
         ATOMS[-1]: case.ours()[ATOMS[-1]],
     }
     rows = []
-    for name, way in worse(case).items():
+    for name, add_errors in worse(case).items():
         rng = np.random.default_rng(SEED)
-        fields = [way(nodes, rng) for nodes in case.nodes[:WORSE]]
+        fields = [add_errors(nodes, rng) for nodes in case.nodes[:WORSE]]
         error = [amae(a[: case.count], b[: case.count]) for a, b in zip(case.nodes, fields, strict=False)]
         scores = {
             method: float(np.mean([ari(truth, cut(x)) for truth, x in zip(case.truth, fields, strict=False)]))
@@ -245,12 +247,13 @@ def write(result: dict) -> None:
     (RESULTS / "segmentation.json").write_text(json.dumps(result, indent=2) + "\n")
     lines = [
         "Labels of the vertices from the true field: ARI, and time on one core. `python benchmarks/segmentation.py`",
-        f"{FRACTURES} impulses that part each mesh; references and the rules tried on fewer. The thesis's methods are",
-        "at its parameters. The ratio is the NetworkX reference's median over the row's; for ours and the watershed at",
-        "0.05, the NetworkX watershed's. Every fast row gave the partitions of its reference. Times: over fractures,",
-        f"of each the fastest of {REPEATS}; p99 is their 99th percentile.",
+        f"{FRACTURES} impulses that break each mesh; fewer for the references and for earlier rules. The thesis's",
+        "methods have the thesis's parameters. Speed-up: the median of the NetworkX reference divided by the median of",
+        "the row; our methods and the watershed at 0.05 are compared with the NetworkX watershed. Every fast method",
+        "gave the partitions of its reference. A time is the fastest of",
+        f"{REPEATS} runs of one fracture; the columns are the median and the 99th percentile over the fractures.",
         "",
-        "| mesh | vertices | method | fractures | ARI | least | median, ms | p99 | ratio |",
+        "| mesh | vertices | method | fractures | mean ARI | lowest ARI | median, ms | p99, ms | speed-up |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [
@@ -261,8 +264,9 @@ def write(result: dict) -> None:
     names = list(result["spoiled"][0]["ari"])
     lines += [
         "",
-        f"Fields made worse ({WORSE} fractures each): mean ARI. Noise is of the standard deviation named, in units of",
-        "the size; blurring is 10 means over neighbours; a filled place hides 0.12 of a crack's length under 0.03.",
+        f"Fields with errors ({WORSE} fractures each): mean ARI. The number after noise is its standard deviation, in",
+        "units of the largest extent; blurred means averaged 10 times over neighbours; a filled place hides a crack",
+        "over a length of 0.12, where the field is raised to 0.03.",
         "",
         f"| mesh | field | AMAE | {' | '.join(names)} |",
         "|---" * (3 + len(names)) + "|",
@@ -270,8 +274,8 @@ def write(result: dict) -> None:
     for r in result["spoiled"]:
         scores = " | ".join(f"{r['ari'][name]:.3f}" for name in names)
         lines.append(f"| {r['mesh']} | {r['field']} | {r['amae']:.4f} | {scores} |")
-    told = "; ".join(f"{r['mesh']} {r['across_pieces']:.1%} of {r['links']}" for r in result["links"])
-    lines += ["", f"Links that run between vertices of different pieces, in the mean over fractures: {told}."]
+    shares = "; ".join(f"{r['mesh']} {r['across_pieces']:.1%} of {r['links']}" for r in result["links"])
+    lines += ["", f"Links between vertices of different pieces, on average over the fractures: {shares}."]
     (RESULTS / "segmentation.md").write_text("\n".join(lines) + "\n")
     print("\n".join(lines))
 
@@ -297,22 +301,22 @@ def draw(result: dict) -> None:
         if second:
             left.semilogx(*zip(*second, strict=True), "x", color=colour[method], alpha=0.6)
     left.plot([], [], "kx", label="NetworkX reference")
-    left.set(xlabel="ms, median", ylabel="ARI from the true field", title="All meshes")
+    left.set(xlabel="median time, ms", ylabel="mean ARI, from the true field", title="All meshes")
     left.axvline(17.0, color="k", ls=":", lw=1)
     left.legend(fontsize=8, loc="center right", framealpha=0.6)
     middle.axhline(17.0, color="k", ls=":", lw=1)
-    middle.text(30000, 14.0, "17 ms: the thesis's budget", fontsize=8, ha="right", va="top")
+    middle.text(30000, 14.0, "17 ms, the thesis's budget", fontsize=8, ha="right", va="top")
     sizes = sorted({r["vertices"] for r in bunny})
     middle.set_xticks(sizes, [f"{size:,}" for size in sizes])
     middle.minorticks_off()
-    middle.set(xlabel="vertices", ylabel="ms, median", title="Bunny: solid ours, dashed NetworkX")
+    middle.set(xlabel="vertices", ylabel="median time, ms", title="Bunny: fast methods solid, NetworkX dashed")
     spoiled = [r for r in result["spoiled"] if r["mesh"] == "bunny"]
     names = list(spoiled[0]["ari"])
     for k, name in enumerate(names):
         x = np.arange(len(spoiled)) + 0.8 * (k / len(names) - 0.5)
         right.bar(x, [r["ari"][name] for r in spoiled], 0.75 / len(names), align="edge", color=f"C{k}", label=name)
     right.set_xticks(range(len(spoiled)), [r["field"] for r in spoiled], rotation=20, ha="right", fontsize=8)
-    right.set(ylabel="ARI", title="Bunny: fields made worse", ylim=(0, 1.35))
+    right.set(ylabel="mean ARI", title="Bunny: fields with errors", ylim=(0, 1.35))
     right.legend(fontsize=7, ncols=2, loc="upper right")
     for axis in (left, middle, right):
         axis.grid(alpha=0.3)
@@ -321,14 +325,19 @@ def draw(result: dict) -> None:
 
 
 def main() -> None:
+    if "--table" in sys.argv[1:]:
+        result = json.loads((RESULTS / "segmentation.json").read_text())
+        write(result)
+        draw(result)
+        return
     rows, spoils, links = [], [], []
     with threadpool_limits(1):
         for name, splits in (("bunny", 0), ("chair", 0), ("vase", 0), ("bunny", 1), ("bunny", 2)):
             surface = refine(read_surface(HERE.parent / "meshes" / f"{name}.obj"))
             for _ in range(splits):
                 surface = split_faces(surface)
-            told = f"{name}, {3**splits}×" if splits else name
-            case = Case(told, replace(surface, name=told))
+            label = f"{name}, {3**splits}×" if splits else name
+            case = Case(label, replace(surface, name=label))
             rows += measured(case)
             links.append(link_row(case))
             if not splits:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from .learning import register_model
     from .physics.events import FractureEvent
     from .physics.world import World
-    from .segmentation import segment
+    from .segmentation import register_segmentation, segment
     from .simulators import register_simulator
 
 __version__ = "0.2.0"
@@ -87,6 +87,7 @@ __all__ = [
     "make_dataset",
     "register_environment",
     "register_model",
+    "register_segmentation",
     "register_simulator",
     "segment",
 ]

@@ -46,6 +46,18 @@ def partitions(draw):
     return points, truth, guess
 
 
+# Fields
+
+
+def test_field_errors_and_acceptance_follow_the_formulas_of_the_thesis():
+    truth, guess = np.array([0.0, 0.1, 0.3]), np.array([0.1, 0.1, 0.2])
+    assert metrics.mse(truth, guess) == pytest.approx(0.02 / 3)
+    assert metrics.amae(truth, guess) == pytest.approx((0.1 + 0 + 0.1 / 4) / 3)
+    assert metrics.ari([0, 0, 1, 1], [5, 5, 2, 2]) == 1.0
+    assert metrics.accepted([0, 0, 1, 1], [5, 5, 2, 2])
+    assert not metrics.accepted([0, 0, 1, 1], [0, 1, 0, 1])
+
+
 # Boundaries
 
 

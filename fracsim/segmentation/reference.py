@@ -1,7 +1,7 @@
-"""The thesis's segmentations as it states them, walking a NetworkX graph vertex by vertex. Offline only: what the fast
-ones are proven against, and timed against.
+"""The thesis's segmentations as the thesis states them, vertex by vertex on a NetworkX graph.
 
-Where the thesis leaves something open, the docstrings of the fast ones say how it is read, in both.
+The fast ones are tested and timed against these; only tests, benchmarks and studies may import this file. Where the
+thesis leaves something open, the docstrings of the fast ones say how both read it.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 
 from ..common.arrays import FloatArray, IntArray
 from ..common.errors import MissingExtraError
-from .felzenszwalb import SMALLEST, transformed
+from .felzenszwalb import SMALLEST, transformed_udf
 from .graph import SurfaceGraph
-from .kmeans import ITERATIONS, centres, features
+from .kmeans import ITERATIONS, features, first_centres
 from .region_growing import STEP
 
 try:
@@ -27,7 +27,20 @@ except ImportError as error:
 
 
 def prepare(graph: SurfaceGraph, udf: FloatArray) -> nx.Graph:
-    """The graph that the thesis's pipeline has at hand: vertices with their ``udf`` and ``position``, and edges."""
+    """Build the graph that the thesis's pipeline starts from.
+
+    Parameters
+    ----------
+    graph : SurfaceGraph
+        The surface.
+    udf : ndarray of float64, shape (V,)
+        Distance to the nearest crack, in units of the largest extent.
+
+    Returns
+    -------
+    networkx.Graph
+        Vertices 0 to V - 1 with attributes ``udf`` and ``position``, and their edges and links.
+    """
     result = nx.Graph()
     for vertex, (height, position) in enumerate(zip(udf.tolist(), graph.vertices.tolist(), strict=True)):
         result.add_node(vertex, udf=height, position=position)
@@ -36,7 +49,20 @@ def prepare(graph: SurfaceGraph, udf: FloatArray) -> nx.Graph:
 
 
 def watershed(graph: nx.Graph, threshold: float) -> IntArray:
-    """Algorithm 1."""
+    """Label the basins of a field (thesis, Algorithm 1).
+
+    Parameters
+    ----------
+    graph : networkx.Graph
+        What ``prepare`` returns.
+    threshold : float
+        Height of a pass from which two basins join, in units of the largest extent.
+
+    Returns
+    -------
+    ndarray of int64, shape (V,)
+        A label for each vertex; any numbers.
+    """
     udf = nx.get_node_attributes(graph, "udf")
     label = {vertex: vertex for vertex in _maxima(graph, udf)}
     groups = nx.utils.UnionFind(label)
@@ -58,7 +84,20 @@ def watershed(graph: nx.Graph, threshold: float) -> IntArray:
 
 
 def region_growing(graph: nx.Graph, merged: float) -> IntArray:
-    """Section 4.6.1, Region growing, and section 4.8.1."""
+    """Label the regions of a field (thesis, section 4.6.1 and section 4.8.1).
+
+    Parameters
+    ----------
+    graph : networkx.Graph
+        What ``prepare`` returns.
+    merged : float
+        Height of both ends of an edge from which two regions join, in units of the largest extent.
+
+    Returns
+    -------
+    ndarray of int64, shape (V,)
+        A label for each vertex; any numbers.
+    """
     udf = nx.get_node_attributes(graph, "udf")
     seeds = sorted(_maxima(graph, udf), key=lambda vertex: (-udf[vertex], vertex))
     label = {vertex: number for number, vertex in enumerate(seeds)}
@@ -72,14 +111,14 @@ def region_growing(graph: nx.Graph, merged: float) -> IntArray:
         waiting.update(vertex for vertex in levels[level] if vertex not in label)
         grown = True
         while grown:
-            found = {}
+            chosen = {}
             for vertex in waiting:
                 votes = Counter(label[neighbour] for neighbour in graph[vertex] if neighbour in label)
                 if votes:
-                    found[vertex] = min(votes, key=lambda region: (-votes[region], region))
-            label.update(found)
-            waiting.difference_update(found)
-            grown = bool(found)
+                    chosen[vertex] = min(votes, key=lambda region: (-votes[region], region))
+            label.update(chosen)
+            waiting.difference_update(chosen)
+            grown = bool(chosen)
     groups = nx.utils.UnionFind(range(len(seeds)))
     for a, b in graph.edges:
         if label[a] != label[b] and udf[a] >= merged and udf[b] >= merged:
@@ -88,7 +127,20 @@ def region_growing(graph: nx.Graph, merged: float) -> IntArray:
 
 
 def hierarchical(graph: nx.Graph, stop: float) -> IntArray:
-    """Algorithm 3."""
+    """Label the clusters of a field (thesis, Algorithm 3).
+
+    Parameters
+    ----------
+    graph : networkx.Graph
+        What ``prepare`` returns.
+    stop : float
+        The sum of both ends of an edge below which merging ends, in units of the largest extent.
+
+    Returns
+    -------
+    ndarray of int64, shape (V,)
+        A label for each vertex; any numbers.
+    """
     udf = nx.get_node_attributes(graph, "udf")
     clusters = nx.utils.UnionFind(graph)
     for a, b in sorted(graph.edges, key=lambda edge: udf[edge[0]] + udf[edge[1]], reverse=True):
@@ -100,11 +152,24 @@ def hierarchical(graph: nx.Graph, stop: float) -> IntArray:
 
 
 def kmeans(graph: nx.Graph, clusters: float) -> IntArray:
-    """Algorithm 4, from the same first centres as the fast one."""
+    """Label clusters (thesis, Algorithm 4), from the same first centres as the fast version.
+
+    Parameters
+    ----------
+    graph : networkx.Graph
+        What ``prepare`` returns.
+    clusters : float
+        The number of clusters.
+
+    Returns
+    -------
+    ndarray of int64, shape (V,)
+        A label for each vertex; any numbers.
+    """
     positions = np.array(list(nx.get_node_attributes(graph, "position").values()))
     heights = np.array(list(nx.get_node_attributes(graph, "udf").values()))
     array = features(positions, heights)
-    means, items = centres(array, clusters).tolist(), array.tolist()
+    means, items = first_centres(array, clusters).tolist(), array.tolist()
     label: list[int] = []
     for _ in range(ITERATIONS):
         before = label
@@ -115,33 +180,46 @@ def kmeans(graph: nx.Graph, clusters: float) -> IntArray:
         if label == before:
             break
         for cluster in range(len(means)):
-            members = [item for item, own in zip(items, label, strict=True) if own == cluster]
+            members = [item for item, number in zip(items, label, strict=True) if number == cluster]
             if members:
                 means[cluster] = [sum(column) / len(members) for column in zip(*members, strict=True)]
     return np.array(label)
 
 
 def felzenszwalb(graph: nx.Graph, scale: float) -> IntArray:
-    """Algorithm 5 with the weights of Eq. 4.6, and the joining of small components that usually follows it."""
+    """Label the components of a field (thesis, Algorithm 5 and Eq. 4.6), and join small ones.
+
+    Parameters
+    ----------
+    graph : networkx.Graph
+        What ``prepare`` returns.
+    scale : float
+        k: larger values give larger components.
+
+    Returns
+    -------
+    ndarray of int64, shape (V,)
+        A label for each vertex; any numbers.
+    """
     udf = nx.get_node_attributes(graph, "udf")
     top = max(udf.values())
-    weight = {(a, b): transformed(udf[a], top) + transformed(udf[b], top) for a, b in graph.edges}
+    weight = {(a, b): transformed_udf(udf[a], top) + transformed_udf(udf[b], top) for a, b in graph.edges}
     edges = sorted(weight, key=lambda edge: (weight[edge], edge))
     component = {vertex: [vertex] for vertex in graph}  # every vertex of a component knows all of it
     largest = dict.fromkeys(graph, 0.0)  # weight within, by the component's first vertex
 
     def join(a: int, b: int) -> None:
-        one, other = component[a], component[b]
-        if len(one) < len(other):
-            one, other = other, one
-        one.extend(other)
-        for vertex in other:
-            component[vertex] = one
+        larger, smaller = component[a], component[b]
+        if len(larger) < len(smaller):
+            larger, smaller = smaller, larger
+        larger.extend(smaller)
+        for vertex in smaller:
+            component[vertex] = larger
 
     for a, b in edges:
-        one, other = component[a], component[b]
-        bound = min(largest[part[0]] + scale / len(part) for part in (one, other))
-        if one is not other and weight[a, b] <= bound:
+        first, second = component[a], component[b]
+        bound = min(largest[vertices[0]] + scale / len(vertices) for vertices in (first, second))
+        if first is not second and weight[a, b] <= bound:
             join(a, b)
             largest[component[a][0]] = weight[a, b]
     for a, b in edges:
@@ -151,11 +229,11 @@ def felzenszwalb(graph: nx.Graph, scale: float) -> IntArray:
 
 
 def _maxima(graph: nx.Graph, udf: dict[int, float]) -> list[int]:
-    """Vertices larger than all their neighbours, of equal ones the lower index."""
+    """List vertices larger than all their neighbours; of equal values, the lower index is larger."""
     return [v for v in graph if all((udf[v], -v) > (udf[n], -n) for n in graph[v])]
 
 
-# By the names of the fast ones, each from what ``prepare`` gives and its parameter to labels (V,).
+# Names of the fast versions -> function from the graph of ``prepare`` and the parameter to labels (V,).
 REFERENCES: dict[str, Callable[[nx.Graph, float], IntArray]] = {
     "watershed": watershed,
     "region_growing": region_growing,

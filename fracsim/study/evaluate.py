@@ -31,7 +31,7 @@ from ..learning.body import BodyGeometry
 from ..learning.model import load_model, model_class, save_model
 from ..learning.precomputed import PrecomputedModel
 from ..learning.trainer import Run
-from ..segmentation import DEFAULTS, METHODS, reference
+from ..segmentation import METHODS, reference
 from ..segmentation.graph import SurfaceGraph
 from ..segmentation.midpoints import midpoint_segmentation
 from ..simulators.base import FractureSimulator, Impacts, merge_small_pieces_each
@@ -169,10 +169,10 @@ class Bench:
             }
             if name == "watershed":
                 row["amae_and_bc"] = [[a, f["bc"]] for a, f in zip(per_impulse, found, strict=False)]
-                judged = [METHODS[name](self.graph, u.astype(np.float64), DEFAULTS[name]) for u in held_out]
+                judged = [METHODS[name](self.graph, u.astype(np.float64)) for u in held_out]
                 scores = [self._scores(judges, k, cut_up) for k, cut_up in enumerate(judged)]
                 row["validation"] = {**self._errors(judges, held_out)[0], **_summary(scores)}
-            if name in METHODS:
+            if name in reference.REFERENCES:
                 row["reference_ms"] = _times(self._reference(name, fields))
             rows.append(row)
             shown[name] = np.array(labels[:SHOWN])
@@ -244,7 +244,7 @@ class Bench:
         judges: Samples,
     ) -> dict[str, Cut]:
         """Every segmentation of the fields; some ask the model for something else than those."""
-        result = {n: Cut(partial(self._vertex_cut, n, fields, DEFAULTS[n]), DEFAULTS[n], True) for n in METHODS}
+        result = {n: Cut(partial(self._vertex_cut, n, fields, m.default), m.default, True) for n, m in METHODS.items()}
         threshold = self._chosen(
             judges, held_out, THRESHOLDS, lambda u, t: METHODS["watershed"](self.graph, u.astype(np.float64), t)
         )
@@ -299,7 +299,7 @@ class Bench:
             udf = fields[k].astype(np.float64)
             graph = reference.prepare(self.graph, udf)
             begin = time.perf_counter()
-            reference.REFERENCES[name](graph, DEFAULTS[name])
+            reference.REFERENCES[name](graph, METHODS[name].default)
             spent.append((time.perf_counter() - begin) * 1e3)
         return spent
 

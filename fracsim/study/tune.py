@@ -19,7 +19,7 @@ from ..data.samples import Samples
 from ..learning.body import BodyGeometry
 from ..learning.model import model_class
 from ..learning.trainer import Run
-from ..segmentation import DEFAULTS, METHODS
+from ..segmentation import METHODS
 from ..segmentation.graph import SurfaceGraph
 from .optuna_study import _bury, _ByTrial, _counts, _process
 from .search_space import Search
@@ -146,7 +146,7 @@ def _segmented(body: BodyGeometry, samples: Samples, model: Any, graph: SurfaceG
     found: dict[str, list[float]] = {"bc": [], "rc": [], "ari": [], "ami": []}
     for k, udf in enumerate(model.predict(parted.impacts) if len(parted) else ()):
         truth = parted.labels[k][body.vertex_atom]
-        labels = METHODS["watershed"](graph, udf.astype(np.float64), DEFAULTS["watershed"])
+        labels = METHODS["watershed"](graph, udf.astype(np.float64))
         for name, value in metrics.partition_scores(body.vertices, graph.edges, truth, labels).items():
             found[name].append(value)
     return {name: float(np.mean(values)) for name, values in found.items() if values}
