@@ -1,12 +1,13 @@
-"""The baked asset: everything a running simulation needs to break one object, in one file of plain arrays."""
+"""The baked asset: everything that a running simulation needs to break one object.
+
+``fracsim.load`` reads one; physics, environments and users ask it.
+"""
 
 from __future__ import annotations
 
-import json
 import os
-import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -14,32 +15,60 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from ..common.arrays import FloatArray, IntArray
-from ..common.errors import AssetError, FieldError, FracsimError
-from ..common.files import compact, header_of, write_beside
+from ..common.checks import is_number
+from ..common.errors import AssetError, FieldError
+from ..common.files import write_beside
 from ..common.impulse import Impulse, as_impulses
 from ..common.material import Material, as_material
 from ..geometry.complex import Hull
-from ..geometry.locate import closest_on_triangles
 from ..geometry.sampling import CONE, SurfacePoints, cone, ratios
-from .arrays import AssetArrays, Domain, SimulatorRecord
-from .file import FORMAT, SUFFIX, contradictions
+from .arrays import AssetArrays, SimulatorRecord
+from .assemble import mass_properties
+from .breakable_piece import BreakablePiece
+from .file import SUFFIX, AssetContents, pack, unpack
 from .pieces import ConvexParts, Piece
-from .predictor import FieldWeights, field_from_scores, minimax_scores
-from .result import Answer, Fracture
-from .rule import components, load_ratios, merge_small_pieces, separated, weakest_cut
-
-PREDICTORS = ("field", "interfaces", "modes")
+from .predictor import FieldWeights
+from .query import FractureQuery
+from .result import Fracture
+from .rule import load_ratios, weakest_cut
 
 
 @dataclass(frozen=True, eq=False)
 class BreakableAsset:
     """A breakable object: made by ``fracsim.bake``, read by ``fracsim.load``.
 
-    scale: m, its largest extent. offset: (3,) m, where the centre of its bounding box lies in its own frame.
-    cap, min_piece_volume_fraction: of the largest extent, of the volume. metadata: how it was baked and how good it is.
+    Attributes
+    ----------
+    name : str
+        What messages call it.
+    material : Material
+        What it is made of.
+    scale : float
+        m, its largest extent.
+    offset : ndarray of float64, shape (3,)
+        m, where the centre of its bounding box lies in its own frame.
+    cap : float
+        The largest distance that a field holds, as a share of the largest extent.
+    min_piece_volume_fraction : float
+        Pieces of a smaller share of the volume join a neighbour.
+    arrays : AssetArrays
+        Geometry and impact field, shared by all sizes and materials of it.
+    model : FieldWeights
+        The learned predictor.
+    metadata : dict
+        How it was baked and how good it is.
+    baked_from : SimulatorRecord
+        Which fracture simulator its training data came from.
+
+    Examples
+    --------
+    >>> import fracsim
+    >>> vase = fracsim.load("vase").scaled(0.5).with_material("glass")
+    >>> fracture = vase.fracture(fracsim.Impulse(vase.vertices[0], (0, 0, -1), 1000 * vase.breaking_impulse[0]))
+    >>> fracture.broken, abs(sum(piece.mass for piece in fracture.pieces) - vase.mass) < 1e-9
+    (True, True)
     """
 
     name: str
@@ -52,6 +81,11 @@ class BreakableAsset:
     model: FieldWeights
     metadata: dict[str, Any]
     baked_from: SimulatorRecord = field(default_factory=SimulatorRecord)
+
+    @cached_property
+    def query(self) -> FractureQuery:
+        """What answers for this size and material."""
+        return FractureQuery(**{each.name: getattr(self, each.name) for each in fields(FractureQuery)})
 
     # The body as a whole
 
@@ -67,22 +101,28 @@ class BreakableAsset:
 
     @property
     def faces(self) -> IntArray:
-        """(F, 3)."""
+        """(F, 3) indices of vertices, outward."""
         return self.arrays.faces
 
     @property
     def vertex_count(self) -> int:
+        """V, the number of vertices of its surface."""
         return len(self.arrays.impact_field)
 
     @property
     def volume(self) -> float:
-        """m³."""
-        return float(self.arrays.moments[0].sum()) * self.scale**3
+        """Volume, m³."""
+        return self.query.volume
+
+    @property
+    def volume_fraction(self) -> float:
+        """Its share of its own volume, which is 1; a piece of it has less."""
+        return 1.0
 
     @property
     def mass(self) -> float:
-        """kg."""
-        return self.volume * self.material.density
+        """Mass, kg."""
+        return self.query.mass
 
     @property
     def center_of_mass(self) -> FloatArray:
@@ -92,17 +132,17 @@ class BreakableAsset:
     @property
     def inertia(self) -> FloatArray:
         """(3, 3) kg·m² about the centre of mass, along the asset's axes."""
-        return self._mass_properties(np.arange(len(self.arrays.moments[0])))[3]
+        atoms = np.arange(len(self.arrays.moments[0]))
+        return mass_properties(self.arrays, atoms, self.material.density, self.scale, self.offset)[3]
 
     @cached_property
     def hulls(self) -> tuple[Hull, ...]:
-        """Convex parts of the unbroken body."""
-        arrays = self.arrays
-        return self._hulls(arrays.body_points, arrays.body_faces, arrays.body_sizes)
+        """Convex parts of the unbroken body, as vertices (n, 3) in m and faces (k, 3) each."""
+        return tuple((points * self.scale + self.offset, faces) for points, faces in self.arrays.whole_hulls)
 
     @property
     def convex_parts(self) -> ConvexParts:
-        """The same as an engine takes them in."""
+        """The same, as an engine takes them in."""
         return replace(self.arrays.whole_convex_parts, scale=self.scale, offset=self.offset)
 
     @cached_property
@@ -112,148 +152,131 @@ class BreakableAsset:
 
     @property
     def bearable_impulse(self) -> float:
-        """N·s: impulses that sum to less break nothing, wherever they act."""
-        return float(self._weakest[1].min()) * self.mass * self.material.breaking_velocity
+        """N·s; impulses that sum to less break nothing, wherever they act."""
+        return float(self.query.weakest[1].min()) * self.mass * self.material.breaking_velocity
 
     @cached_property
     def breaking_impulse(self) -> FloatArray:
-        """(V,) N·s: no single impulse below it on the faces around that vertex breaks anything, whichever way."""
-        return self._weakest[0] * self.mass * self.material.breaking_velocity
+        """(V,) N·s; no single impulse below it on the faces around that vertex breaks anything, in any direction."""
+        return self.query.weakest[0] * self.mass * self.material.breaking_velocity
 
     def scaled(self, scale: float) -> BreakableAsset:
-        """The same object, ``scale`` times as large; arrays are shared."""
-        if not (np.isfinite(scale) and scale > 0):
+        """Make the same object of another size.
+
+        Parameters
+        ----------
+        scale : float
+            How many times as large; above 0.
+
+        Returns
+        -------
+        BreakableAsset
+            It shares the arrays of this one.
+
+        Raises
+        ------
+        AssetError
+            If the scale is not a positive finite number.
+        """
+        if not is_number(scale) or scale <= 0.0:
             raise AssetError(f"{self.name}: scale must be positive and finite, got {scale!r}")
         return replace(self, scale=self.scale * float(scale), offset=self.offset * float(scale))
 
     def with_material(self, material: str | Material) -> BreakableAsset:
-        """The same object of another material, by preset name or as a Material; arrays are shared."""
+        """Make the same object of another material.
+
+        Parameters
+        ----------
+        material : str or Material
+            A preset's name, or a material of your own.
+
+        Returns
+        -------
+        BreakableAsset
+            It shares the arrays of this one.
+
+        Raises
+        ------
+        MaterialError
+            If there is no such preset.
+        """
         return replace(self, material=as_material(material))
 
     # Breaking it
 
     def may_break(self, impulses: Impulse | Sequence[Impulse]) -> bool:
-        """False when these impulses together are surely too weak; costs no model query."""
-        impulses = as_impulses(impulses)
-        corners, barycentric = self._locate(np.array([impulse.point for impulse in impulses]))
-        return self._may_break(corners, barycentric, self._severities(impulses))
+        """Tell whether impulses can break the unbroken asset; asks no model.
 
-    @cached_property
-    def _weakest(self) -> tuple[FloatArray, FloatArray]:
-        """``AssetArrays.weakest``, or what is known of it where the truth is known by its samples alone."""
-        if self.baked_from.simulator == "modal":
-            return self.arrays.weakest
-        least = np.full(self.vertex_count, self.baked_from.min_severity)
-        return least, least
+        Parameters
+        ----------
+        impulses : Impulse or sequence of Impulse
+            What acts on it together, in its own frame (m, N·s).
 
-    def _severities(self, impulses: Sequence[Impulse]) -> FloatArray:
-        return np.array([impulse.magnitude for impulse in impulses]) / (self.mass * self.material.breaking_velocity)
-
-    def _may_break(
-        self, corners: IntArray, barycentric: FloatArray, severities: FloatArray, whole: bool = True
-    ) -> bool:
-        """whole: False for a piece, which has fewer ways to hold together."""
-        nearest = corners[np.arange(len(corners)), np.argmax(barycentric, axis=1)]
-        bound = self._weakest[0 if len(corners) == 1 and whole else 1][nearest]
-        return float((severities / bound).sum()) >= 1.0
-
-    def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
-        """What one impulse, or several acting together, do to the unbroken asset.
-
-        predictor: "field", the learned distance field, segmented; "interfaces", the pieces that the same model's
-        break scores leave, with no field between; or "modes", the modal truth's own answer, which an asset baked from
-        another truth does not carry.
-        Raises ImpulseError, or FieldError when the model's field is not finite.
+        Returns
+        -------
+        bool
+            False where they are surely too weak.
         """
-        return self._fracture(as_impulses(impulses), predictor, gated=True)
+        return self.query.may_break(self.query.on_surface(as_impulses(impulses)))
+
+    def fracture(
+        self, impulses: Impulse | Sequence[Impulse], predictor: str = "field", *, skip_weak: bool = True
+    ) -> Fracture:
+        """Break the unbroken asset.
+
+        Parameters
+        ----------
+        impulses : Impulse or sequence of Impulse
+            What acts on it together, in its own frame (m, N·s).
+        predictor : {"field", "interfaces", "simulator"}
+            "field": the learned distance field, segmented. "interfaces": the pieces that the same model's break scores
+            leave, with no field between. "simulator": the modal simulator's own answer ("modes" is its old name); an
+            asset baked from another simulator does not carry it.
+        skip_weak : bool
+            Whether impulses that `may_break` rules out are answered without asking the model. False judges the model
+            alone.
+
+        Returns
+        -------
+        Fracture
+            The pieces; a single one where nothing breaks.
+
+        Raises
+        ------
+        FracsimError
+            ImpulseError if no impulse is given, FieldError if the model's scores are not finite; else the predictor is
+            unknown, or the asset does not carry it.
+        """
+        return self.query.fracture(as_impulses(impulses), predictor, skip_weak)
 
     def unbroken(self) -> Fracture:
-        """What no impulse at all would do; asks no model."""
-        return self._nothing(self.arrays.whole)
+        """Return the answer to no impulse at all; asks no model.
 
-    def _nothing(self, domain: Domain) -> Fracture:
-        answer = Answer(domain, "none", 0.0, False, {})
-        return self._finish(answer, np.zeros(len(domain.atoms), np.int64), np.zeros(len(domain.interface_indices)))
-
-    def breakable_piece(self, piece: Piece) -> BreakablePiece:
-        """One of its pieces as something that can be struck and broken in turn."""
-        return BreakablePiece(self, piece)
-
-    def prepare(self) -> None:
-        """Work out all that a first break would otherwise wait for. ``World.add`` does; once for all sizes."""
-        if "prepared" not in vars(self.arrays):
-            nothing = Impulse(self.vertices[0], np.array([0.0, 0.0, 1.0]), 0.0)
-            for piece in self._fracture([nothing], "field", gated=False).pieces:
-                _ = piece.convex_parts
-            _ = self.arrays.weakest, self.arrays.whole_convex_parts
-            vars(self.arrays)["prepared"] = True
-
-    def _fracture(
-        self, impulses: Sequence[Impulse], predictor: str, gated: bool, fragment: BreakablePiece | None = None
-    ) -> Fracture:
-        """gated: whether impacts that are surely too weak are spared the model, which is to be told when it is judged.
-
-        A piece answers with the model of the whole. An impact leaves its momentum near the contact whatever the size of
-        the body, and what would have gone on into the atoms that are gone stays in those that are left, spread over
-        all of them: so the jumps between these are as in the whole body under the same impulse, and cracks that are
-        there already only take interfaces out of it.
+        Returns
+        -------
+        Fracture
+            A single piece.
         """
-        if predictor not in PREDICTORS:
-            raise FracsimError(f"unknown predictor {predictor!r}; use one of {', '.join(PREDICTORS)}")
-        if predictor == "modes" and self.baked_from.simulator != "modal":
-            raise FracsimError(
-                f"{self.name}: was baked from a truth that it does not carry ({self.baked_from.simulator})"
-            )
-        begin = time.perf_counter()
-        arrays = self.arrays
-        domain = arrays.whole if fragment is None else fragment.domain
-        locate = self._locate if fragment is None else fragment.locate
-        corners, barycentric = locate(np.array([impulse.point for impulse in impulses]))
-        directions = np.array([impulse.direction for impulse in impulses])
-        severities = self._severities(impulses)
-        total = float(severities.sum())
-        limit = float(self.model.severity[0])
-        clamped = predictor != "modes" and total > limit
-        if clamped:
-            severities *= limit / total
-        answer = Answer(domain, predictor, total / domain.share, clamped, {"impulse": _ms(begin)})
-        begin = time.perf_counter()
-        pairs, count = domain.interfaces.pairs, len(domain.atoms)
-        if predictor == "modes":
-            rows = np.einsum("kc,kca->ka", barycentric, arrays.impact_field[corners])
-            broken = (
-                load_ratios(rows[None], directions[None], severities[None], arrays.interfaces)[
-                    0, domain.interface_indices
-                ]
-                >= 1.0
-            )
-        elif len(pairs) == 0 or (gated and not self._may_break(corners, barycentric, severities, fragment is None)):
-            answer.timings["field"] = _ms(begin)
-            return self._finish(answer, np.zeros(count, dtype=np.int64), np.zeros(len(pairs)))
-        else:
-            scores = np.asarray(self.model.scores(corners, barycentric, directions, severities, arrays.pairs))
-            if scores.shape != (len(arrays.pairs),):
-                raise FieldError(f"{self.name}: the model gives scores of shape {scores.shape}, not one an interface")
-            scores = scores[domain.interface_indices].astype(np.float64)
-            if not (np.isfinite(scores).all() and (scores >= 0.0).all()):
-                raise FieldError(
-                    f"{self.name}: the model's scores are negative or not finite; no fracture follows from them"
-                )
-            if predictor == "field":
-                parting = minimax_scores(scores, pairs, count).astype(np.float64)
-                udf = field_from_scores(parting, arrays.trace[1][domain.interface_indices], self.cap)
-                answer.timings["field"] = _ms(begin)
-                return self._cut(answer, udf, parting)
-            broken = scores >= self.model.level[0]
-        labels = components(~broken[None], pairs, count)[0]
-        labels = merge_small_pieces(
-            labels, domain.volumes, domain.interfaces, self.min_piece_volume_fraction / domain.share
-        )
-        answer.timings["labels"] = _ms(begin)
-        return self._finish(answer, labels, separated(labels, pairs).astype(np.float64))
+        return self.query.unbroken()
 
     def fracture_from_field(self, udf: npt.ArrayLike) -> Fracture:
-        """The pieces of a given field: udf (V,) m, distance to the nearest crack, such as a model of one's own."""
+        """Cut the asset along a field, such as one that a model of your own predicts.
+
+        Parameters
+        ----------
+        udf : array_like, shape (V,)
+            m, distance of each vertex to the nearest crack.
+
+        Returns
+        -------
+        Fracture
+            The pieces.
+
+        Raises
+        ------
+        FieldError
+            If the field is not V finite numbers.
+        """
         try:
             values = np.asarray(udf, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -262,14 +285,50 @@ class BreakableAsset:
             raise FieldError(f"{self.name}: a field must have shape ({self.vertex_count},), got {values.shape}")
         if not np.isfinite(values).all():
             raise FieldError(f"{self.name}: the field holds values that are not finite; no fracture follows from it")
-        given = values / self.scale
-        answer = Answer(self.arrays.whole, "given", 0.0, False, {})
-        return self._cut(answer, given[self.arrays.trace[0]], given)
+        return self.query.fracture_from_field(values / self.scale)
+
+    def breakable_piece(self, piece: Piece) -> BreakablePiece:
+        """Make one of its pieces something that breaks in turn.
+
+        Parameters
+        ----------
+        piece : Piece
+            One of the pieces of its fracture.
+
+        Returns
+        -------
+        BreakablePiece
+            It answers by the model of this asset.
+        """
+        return BreakablePiece(self, piece)
+
+    def prepare(self) -> None:
+        """Work out all that a first break would otherwise wait for; ``World.add`` calls it. Done once for all sizes."""
+        if not self.arrays.prepared:
+            nothing = Impulse(self.vertices[0], np.array([0.0, 0.0, 1.0]), 0.0)
+            self.query.fracture([nothing], skip_weak=False)
+            _ = self.arrays.weakest, self.arrays.whole_convex_parts
+            self.arrays.mark_prepared()
 
     def sample_impulses(self, count: int, seed: int | np.random.Generator) -> list[Impulse]:
-        """Single impulses over the area, in a cone about the inward normal, at 0.3 to 5 times what first
-        parts the body at that point in that direction (typically parts it, for an asset of another truth than the
-        modal one)."""
+        """Draw single impulses that break it about as often as not.
+
+        Points are uniform over the area, directions lie in a cone about the inward normal, and magnitudes are 0.3 to 5
+        times what first breaks the body at that point in that direction. Where the asset does not carry its simulator,
+        they are as many times what typically breaks it.
+
+        Parameters
+        ----------
+        count : int
+            How many.
+        seed : int or numpy.random.Generator
+            Where randomness comes from.
+
+        Returns
+        -------
+        list of Impulse
+            In the asset's frame (m, N·s).
+        """
         rng = np.random.default_rng(seed)
         pool = SurfacePoints(self.arrays.points[: self.vertex_count], self.faces)
         face, barycentric = pool.draw(count, rng)
@@ -278,205 +337,54 @@ class BreakableAsset:
         severity = ratio * self.baked_from.typical_severity
         if self.baked_from.simulator == "modal":
             rows = pool.rows(self.arrays.impact_field, face[:, None], barycentric[:, None])
-            drive = load_ratios(rows, directions[:, None], np.ones((count, 1)), self.arrays.interfaces)
-            severity = ratio / weakest_cut(drive, self.arrays.pairs, self.arrays.complex.count)
+            loads = load_ratios(rows, directions[:, None], np.ones((count, 1)), self.arrays.interfaces)
+            severity = ratio / weakest_cut(loads, self.arrays.pairs, self.arrays.complex.count)
         magnitude = severity * self.mass * self.material.breaking_velocity
         points = pool.at(face, barycentric) * self.scale + self.offset
         return [Impulse(*impact) for impact in zip(points, directions, magnitude, strict=True)]
 
-    # Parts of the above
-
-    def _locate(self, points: FloatArray) -> tuple[IntArray, FloatArray]:
-        """The surface points nearest to ``points`` (K, 3) m, as vertices (K, 3) and barycentric coordinates."""
-        local = (points - self.offset) / self.scale
-        _, nearest = self.arrays.face_tree.query(local, k=min(16, len(self.faces)))
-        corner = self.arrays.points[self.faces[nearest]]  # (K, 16, 3, 3)
-        barycentric, square = closest_on_triangles(local[:, None], corner)
-        best = np.argmin(square, axis=1)
-        row = np.arange(len(points))
-        return self.faces[nearest[row, best]], barycentric[row, best]
-
-    def _cut(self, answer: Answer, udf: FloatArray, given: FloatArray) -> Fracture:
-        """udf: (U,) on the coast. given: what the field everywhere follows from, as ``_finish`` takes it."""
-        begin = time.perf_counter()
-        domain = answer.domain
-        labels = self.arrays.atom_watershed.labels(udf, self.model.pass_height, domain.is_inside)[domain.atoms]
-        labels = merge_small_pieces(
-            labels, domain.volumes, domain.interfaces, self.min_piece_volume_fraction / domain.share
-        )
-        answer.timings["segmentation"] = _ms(begin)
-        return self._finish(answer, labels, given)
-
-    def _finish(self, answer: Answer, labels: IntArray, given: FloatArray) -> Fracture:
-        """labels: (A,) of the domain's atoms. given: the field (V,) itself, or the parting score of each of the
-        domain's interfaces."""
-        begin = time.perf_counter()
-        domain, arrays = answer.domain, self.arrays
-        order = np.argsort(labels, kind="stable")
-        groups = np.split(domain.atoms[order], np.cumsum(np.bincount(labels))[:-1])
-        pieces = self._pieces(groups)
-        cracks = separated(labels, domain.interfaces.pairs)
-        area = float(domain.interfaces.projected[cracks].sum()) * self.scale**2
-        answer.timings["pieces"] = _ms(begin)
-
-        def vertex_labels() -> IntArray:
-            of_atom = np.full(arrays.complex.count, -1)
-            of_atom[domain.atoms] = labels
-            return of_atom[arrays.vertex_atom]
-
-        def udf() -> FloatArray:
-            if answer.predictor == "given":
-                return given * self.scale
-            return field_from_scores(given, arrays.distances[domain.interface_indices], self.cap) * self.scale
-
-        return Fracture(
-            pieces, answer.timings, answer.predictor, answer.severity, answer.clamped, area, vertex_labels, udf
-        )
-
-    def _pieces(self, groups: Sequence[IntArray]) -> tuple[Piece, ...]:
-        arrays = self.arrays
-        parts = replace(arrays.atom_convex_parts, scale=self.scale, offset=self.offset)
-
-        def piece(atoms: IntArray) -> Piece:
-            volume, mass, center, inertia = self._mass_properties(atoms)
-            rows = [row for atom in atoms.tolist() for row in arrays.convex_parts_of_atom[atom]]
-
-            def hulls() -> tuple[Hull, ...]:
-                return tuple(self._atom_hulls[row] for row in rows)
-
-            def surface() -> tuple[FloatArray, IntArray, npt.NDArray[np.bool_]]:
-                vertices, faces, outer = arrays.complex.surface(np.isin(np.arange(arrays.complex.count), atoms))
-                return vertices * self.scale + self.offset, faces, outer
-
-            return Piece(volume, mass, center, inertia, parts.select(rows), atoms, hulls, surface)
-
-        return tuple(piece(group) for group in groups)
-
-    def _mass_properties(self, atoms: IntArray) -> tuple[float, float, FloatArray, FloatArray]:
-        """Volume, mass, centre of mass and inertia about it of some atoms together."""
-        zeroth, first, second = (moment[atoms].sum(axis=0) for moment in self.arrays.moments)
-        center = first / zeroth
-        spread = second - zeroth * np.outer(center, center)
-        volume = float(zeroth) * self.scale**3
-        density = self.material.density
-        inertia = (np.trace(spread) * np.eye(3) - spread) * (density * self.scale**5)
-        return volume, volume * density, center * self.scale + self.offset, inertia
-
-    def _hulls(self, points: FloatArray, faces: IntArray, sizes: IntArray) -> tuple[Hull, ...]:
-        ends = np.cumsum(sizes, axis=0)[:-1].T
-        blocks = np.split(points * self.scale + self.offset, ends[0])
-        return tuple(zip(blocks, np.split(faces, ends[1]), strict=True))
-
-    @cached_property
-    def _atom_hulls(self) -> tuple[Hull, ...]:
-        return self._hulls(self.arrays.hull_points, self.arrays.hull_faces, self.arrays.hull_sizes)
-
     # The file
 
     def save(self, path: str | Path) -> None:
-        """Write the asset, beside and then over ``path``, so that no half of a file is ever there."""
-        from safetensors.numpy import save
+        """Write the asset to a file, whole or not at all.
 
-        tensors = {f"asset.{name}": compact(getattr(self.arrays, name)) for name in AssetArrays.__dataclass_fields__}
-        tensors |= {f"model.{name}": np.ascontiguousarray(value) for name, value in vars(self.model).items()}
-        header = {
-            "format": FORMAT,
-            "name": self.name,
-            "material": self.material.to_dict(),
-            "scale": self.scale,
-            "offset": self.offset.tolist(),
-            "cap": self.cap,
-            "min_piece_volume_fraction": self.min_piece_volume_fraction,
-            "metadata": self.metadata,
-            "baked_from": asdict(self.baked_from),
-        }
-        write_beside(Path(path), save(tensors, metadata={"fracsim": json.dumps(header, sort_keys=True)}))
+        Parameters
+        ----------
+        path : str or Path
+            Where; a file that is there is replaced. The usual suffix is ".frac".
 
-
-@dataclass(frozen=True, eq=False)
-class BreakablePiece:
-    """A piece of a broken asset as something that breaks in turn, by the asset's model; in the asset's frame."""
-
-    asset: BreakableAsset
-    piece: Piece
-
-    @cached_property
-    def domain(self) -> Domain:
-        arrays = self.asset.arrays
-        return Domain.of(self.piece.atoms, arrays.interfaces, arrays.moments[0])
-
-    @property
-    def name(self) -> str:
-        return self.asset.name
-
-    @property
-    def material(self) -> Material:
-        return self.asset.material
-
-    @property
-    def size(self) -> float:
-        """m, the largest extent of the whole."""
-        return self.asset.size
-
-    @property
-    def mass(self) -> float:
-        return self.piece.mass
-
-    @cached_property
-    def reach(self) -> float:
-        """m, from the centre of mass to the furthest point of the convex parts."""
-        parts = self.piece.convex_parts
-        points = np.concatenate(parts.points) * parts.scale + parts.offset
-        return float(np.linalg.norm(points - self.piece.center_of_mass, axis=1).max())
-
-    @property
-    def bearable_impulse(self) -> float:
-        """N·s: impulses that sum to less break nothing, wherever they act."""
-        return self.asset.bearable_impulse
-
-    def may_break(self, impulses: Impulse | Sequence[Impulse]) -> bool:
-        """False when these impulses together are surely too weak; costs no model query."""
-        impulses = as_impulses(impulses)
-        if len(self.piece.atoms) == 1:
-            return False
-        corners, barycentric = self.locate(np.array([impulse.point for impulse in impulses]))
-        return self.asset._may_break(corners, barycentric, self.asset._severities(impulses), whole=False)
-
-    def fracture(self, impulses: Impulse | Sequence[Impulse], predictor: str = "field") -> Fracture:
-        """What impulses do to the piece, as ``BreakableAsset.fracture``; pieces are of the asset's atoms again.
-
-        The severity is the impulse over the piece's own mass times the breaking velocity.
+        Raises
+        ------
+        AssetError
+            If it cannot be written there.
         """
-        return self.asset._fracture(as_impulses(impulses), predictor, gated=True, fragment=self)
-
-    def unbroken(self) -> Fracture:
-        """What no impulse at all would do; asks no model."""
-        return self.asset._nothing(self.domain)
-
-    def breakable_piece(self, piece: Piece) -> BreakablePiece:
-        """One of its pieces, which is one of the asset's."""
-        return BreakablePiece(self.asset, piece)
-
-    @cached_property
-    def _outside(self) -> tuple[IntArray, cKDTree]:
-        """The vertices of the asset's surface that the piece has (all, if it has none), to be found by place."""
-        arrays = self.asset.arrays
-        own = np.flatnonzero(np.isin(arrays.vertex_atom, self.piece.atoms))
-        own = own if len(own) else np.arange(self.asset.vertex_count)
-        return own, cKDTree(arrays.points[own])
-
-    def locate(self, points: FloatArray) -> tuple[IntArray, FloatArray]:
-        """The vertices of the asset's surface nearest to ``points`` (K, 3) m that the piece has, as
-        ``BreakableAsset._locate`` would give them: an impact on a crack counts where the surface is next."""
-        own, tree = self._outside
-        nearest = own[tree.query((points - self.asset.offset) / self.asset.scale)[1]]
-        return np.repeat(nearest[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(points), 1))
+        contents = AssetContents(**{each.name: getattr(self, each.name) for each in fields(self)})
+        write_beside(Path(path), pack(contents))
 
 
 def load(source: str | os.PathLike[str]) -> BreakableAsset:
-    """Read an asset from a file, or one that ships by its name: bunny, chair, vase.
+    """Read an asset from a file, or one that ships with fracsim.
 
-    Raises AssetError, naming the file and the fault, if it is missing, truncated, or of another format.
+    Parameters
+    ----------
+    source : str or path
+        A file, or the name of one that ships: "bunny", "chair", "vase".
+
+    Returns
+    -------
+    BreakableAsset
+        The asset.
+
+    Raises
+    ------
+    AssetError
+        If the file is missing, truncated, damaged, or of another format; the message names it and the fault.
+
+    Examples
+    --------
+    >>> import fracsim
+    >>> fracsim.load("bunny").vertices.shape
+    (3338, 3)
     """
     path = Path(source)
     shipped = resources.files("fracsim.meshes")
@@ -485,54 +393,9 @@ def load(source: str | os.PathLike[str]) -> BreakableAsset:
         if not entry.is_file():
             names = sorted(item.name[: -len(SUFFIX)] for item in shipped.iterdir() if item.name.endswith(SUFFIX))
             raise AssetError(f"{source}: no such asset; those that ship are {', '.join(names)}; or give a file")
-        return _parse(entry.read_bytes(), str(source))
-    if not path.is_file():
+        data, where = entry.read_bytes(), str(source)
+    elif not path.is_file():
         raise AssetError(f"{path}: no such file")
-    return _parse(path.read_bytes(), str(path))
-
-
-def _parse(data: bytes, where: str) -> BreakableAsset:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load as load_tensors
-
-    again = "bake it again with: fracsim bake"
-    try:
-        tensors = load_tensors(data)
-        header = header_of(data, "fracsim")
-    except SafetensorError as error:
-        raise AssetError(f"{where}: truncated or not an asset ({error}); {again}") from error
-    except (KeyError, ValueError, TypeError) as error:
-        raise AssetError(f"{where}: not a fracsim asset (its header is missing); {again}") from error
-    if header.get("format") != FORMAT:
-        raise AssetError(f"{where}: format {header.get('format')}, this version reads {FORMAT}; {again}")
-    try:
-        arrays = {name: tensors[f"asset.{name}"] for name in AssetArrays.__dataclass_fields__}
-        for name, value in arrays.items():
-            if value.dtype.kind == "i":
-                arrays[name] = value.astype(np.int64)
-        model = FieldWeights(**{name: tensors[f"model.{name}"] for name in FieldWeights.names()})
-        material = Material(**header["material"])
-        asset = BreakableAsset(
-            name=str(header["name"]),
-            material=material,
-            scale=float(header["scale"]),
-            offset=np.array(header["offset"], dtype=np.float64),
-            cap=float(header["cap"]),
-            min_piece_volume_fraction=float(header["min_piece_volume_fraction"]),
-            arrays=AssetArrays(**arrays),
-            model=model,
-            metadata=header["metadata"],
-            baked_from=SimulatorRecord(**header["baked_from"]),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise AssetError(f"{where}: an entry of the asset is missing or malformed ({error}); {again}") from error
-    for name, value in tensors.items():
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            raise AssetError(f"{where}: {name} holds values that are not finite; {again}")
-    for fault in contradictions(asset.arrays, asset.model):
-        raise AssetError(f"{where}: {fault}; {again}")
-    return asset
-
-
-def _ms(begin: float) -> float:
-    return (time.perf_counter() - begin) * 1e3
+    else:
+        data, where = path.read_bytes(), str(path)
+    return BreakableAsset(**vars(unpack(data, where)))

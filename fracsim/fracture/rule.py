@@ -1,6 +1,6 @@
 """The breaking rule: what an impact does to the interfaces between atoms, and which atoms stay together.
 
-Shared by the simulator (offline) and the ``modes`` predictor (online); numpy and scipy only.
+The fracture simulators use it offline, the query online.
 """
 
 from __future__ import annotations
@@ -21,11 +21,18 @@ BETA = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Interfaces:
-    """The interfaces between neighbouring atoms.
+    """The interfaces between neighbouring atoms; lengths in units of the largest extent.
 
-    pairs: (I, 2), first < second. areas: (I,), of the jagged interface. normals: (I, 3) unit mean normal, from
-    the first atom to the second. projected: (I,), the area projected on the mean normal.
-    Lengths are in units of the largest extent.
+    Attributes
+    ----------
+    pairs : ndarray of int64, shape (I, 2)
+        The atoms that meet; first < second.
+    areas : ndarray of float64, shape (I,)
+        Of the jagged interfaces.
+    normals : ndarray of float64, shape (I, 3)
+        Unit mean normals, from the first atom to the second.
+    projected : ndarray of float64, shape (I,)
+        Areas projected on the mean normals.
     """
 
     pairs: IntArray
@@ -38,12 +45,28 @@ class Interfaces:
 
 
 def load_ratios(rows: FloatArray, directions: FloatArray, severities: FloatArray, interfaces: Interfaces) -> FloatArray:
-    """Effective velocity jumps (N, I) across the interfaces, in units of the one that breaks them.
+    """Compute the effective velocity jumps across interfaces, in units of the one that breaks them.
 
-    rows: (N, K, A) impact field of each of K contacts acting together. directions: (N, K, 3) unit.
-    severities: (N, K), impulse / (mass * breaking velocity); 0 for a contact that is not there.
-    An interface of normal n that opens with w has Δ² = ⟨w·n⟩₊² + κ⟨-w·n⟩₊² + β²|w_t|²; κ = β = 1 is the
-    direction-blind rule of Breaking Good (Eq. 25).
+    Parameters
+    ----------
+    rows : ndarray of float64, shape (N, K, A)
+        Impact field of each of K impulses that act together, in N samples.
+    directions : ndarray of float64, shape (N, K, 3)
+        Unit vectors.
+    severities : ndarray of float64, shape (N, K)
+        Impulse over mass times breaking velocity; 0 where a sample has fewer impulses.
+    interfaces : Interfaces
+        The I interfaces.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, I)
+        Load ratios; an interface breaks from 1 on.
+
+    Notes
+    -----
+    An interface of normal n that opens with w has Δ² = ⟨w·n⟩₊² + κ⟨-w·n⟩₊² + β²|w_t|². With κ = β = 1 this is the
+    rule of Breaking Good (Eq. 25), which does not know directions.
     """
     first, second = interfaces.pairs.T
     jump = (rows[:, :, second] - rows[:, :, first]) * severities[:, :, None]
@@ -51,8 +74,20 @@ def load_ratios(rows: FloatArray, directions: FloatArray, severities: FloatArray
 
 
 def effective_opening(opening: FloatArray, normals: FloatArray) -> FloatArray:
-    """(N, I) what counts of an opening or a traction (N, I, 3) across interfaces of unit normals (I, 3): all of the
-    pull, √κ of the push, β of the shear."""
+    """Compute what counts of an opening or a traction: all of the pull, √κ of the push, β of the shear.
+
+    Parameters
+    ----------
+    opening : ndarray of float64, shape (N, I, 3)
+        Velocity jumps, or tractions, in any unit.
+    normals : ndarray of float64, shape (I, 3)
+        Unit normals of the interfaces.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, I)
+        In the same unit.
+    """
     normal = np.einsum("nik,ik->ni", opening, normals)
     tangent = np.maximum(np.einsum("nik,nik->ni", opening, opening) - normal**2, 0.0)
     pull, push = np.maximum(normal, 0.0), np.maximum(-normal, 0.0)
@@ -60,9 +95,21 @@ def effective_opening(opening: FloatArray, normals: FloatArray) -> FloatArray:
 
 
 def components(joined: BoolArray, pairs: IntArray, count: int) -> IntArray:
-    """(N, A) labels of the atoms of N bodies, each held together by its ``joined`` (N, I) interfaces.
+    """Find which atoms hang together, in N bodies at once.
 
-    Labels of a body run from 0 in the order of their first atom.
+    Parameters
+    ----------
+    joined : ndarray of bool, shape (N, I)
+        The interfaces of each body that hold.
+    pairs : ndarray of int64, shape (I, 2)
+        The atoms that meet at each interface.
+    count : int
+        A, the number of atoms.
+
+    Returns
+    -------
+    ndarray of int64, shape (N, A)
+        Labels; those of a body run from 0 in the order of their first atom.
     """
     samples, kept = np.nonzero(joined)
     nodes = samples[:, None] * count + pairs[kept]
@@ -73,16 +120,30 @@ def components(joined: BoolArray, pairs: IntArray, count: int) -> IntArray:
     return np.asarray(label - label[:, :1], dtype=np.int64) if size else np.zeros((0, count), np.int64)
 
 
-def weakest_cut(drive: FloatArray, pairs: IntArray, count: int) -> FloatArray:
-    """(N,) the drive at which each body first falls apart, given the drives (N, I) of its interfaces.
+def weakest_cut(loads: FloatArray, pairs: IntArray, count: int) -> FloatArray:
+    """Find the load ratio of the last interface that breaks before a body first falls apart.
 
-    Scaled up, the drives break the strongest-driven interfaces first; two pieces exist once every way between
-    them is cut. The last link to go is the largest edge of the minimum spanning tree, so a body breaks at
-    severity 1 / weakest_cut.
+    Scaled up together, load ratios break the most loaded interfaces first. Two pieces exist once every path between
+    them is cut. The last interface to break is then the one that carries the largest load ratio in the minimum spanning
+    tree, so a body first breaks at the severity 1 / weakest_cut.
+
+    Parameters
+    ----------
+    loads : ndarray of float64, shape (N, I)
+        Load ratios of the interfaces of N bodies, at severity 1.
+    pairs : ndarray of int64, shape (I, 2)
+        The atoms that meet at each interface.
+    count : int
+        A, the number of atoms.
+
+    Returns
+    -------
+    ndarray of float64, shape (N,)
+        Load ratios.
     """
-    samples = len(drive)
+    samples = len(loads)
     nodes = (np.arange(samples)[:, None, None] * count + pairs).reshape(-1, 2)
-    weights = np.maximum(drive, 1e-12).ravel()  # scipy takes a zero for an edge that is not there
+    weights = np.maximum(loads, 1e-12).ravel()  # scipy takes a zero for an edge that is not there
     graph = coo_matrix((weights, (nodes[:, 0], nodes[:, 1])), shape=(samples * count, samples * count))
     tree = minimum_spanning_tree(graph.tocsr()).tocoo()
     result = np.zeros(samples)
@@ -91,9 +152,23 @@ def weakest_cut(drive: FloatArray, pairs: IntArray, count: int) -> FloatArray:
 
 
 def merge_small_pieces(labels: IntArray, volumes: FloatArray, interfaces: Interfaces, floor: float) -> IntArray:
-    """Join every piece below ``floor`` (a fraction of the whole) to the neighbour it shares most area with.
+    """Join every small piece to the neighbour that it shares most area with, the smallest first.
 
-    labels: (A,) the piece of each atom. Returns (A,), numbered from 0 in the order of first atoms.
+    Parameters
+    ----------
+    labels : ndarray of int64, shape (A,)
+        The piece of each atom.
+    volumes : ndarray of float64, shape (A,)
+        Of the atoms, in any unit.
+    interfaces : Interfaces
+        Where atoms meet.
+    floor : float
+        Pieces of a smaller share of the volume are small.
+
+    Returns
+    -------
+    ndarray of int64, shape (A,)
+        Labels from 0, in the order of their first atom.
     """
     labels = np.asarray(labels)
     while True:
@@ -102,15 +177,28 @@ def merge_small_pieces(labels: IntArray, volumes: FloatArray, interfaces: Interf
         share = np.bincount(labels, volumes) / volumes.sum()
         if share.min() >= floor or len(share) == 1:
             return np.asarray(labels, dtype=np.int64)
-        crumb = int(np.argmin(share))
+        small = int(np.argmin(share))
         ends = labels[interfaces.pairs]
-        beside = (ends == crumb).any(axis=1) & (ends[:, 0] != ends[:, 1])
+        beside = (ends == small).any(axis=1) & (ends[:, 0] != ends[:, 1])
         if not beside.any():
             return np.asarray(labels, dtype=np.int64)
-        other = ends[beside].sum(axis=1) - crumb
-        labels[labels == crumb] = int(np.argmax(np.bincount(other, interfaces.areas[beside])))
+        other = ends[beside].sum(axis=1) - small
+        labels[labels == small] = int(np.argmax(np.bincount(other, interfaces.areas[beside])))
 
 
 def separated(labels: IntArray, pairs: IntArray) -> BoolArray:
-    """Which interfaces lie between different pieces: (..., A) labels to (..., I)."""
+    """Tell which interfaces lie between different pieces.
+
+    Parameters
+    ----------
+    labels : ndarray of int64, shape (..., A)
+        The piece of each atom.
+    pairs : ndarray of int64, shape (I, 2)
+        The atoms that meet at each interface.
+
+    Returns
+    -------
+    ndarray of bool, shape (..., I)
+        Whether the two atoms of each interface are on different pieces.
+    """
     return np.asarray(labels[..., pairs[:, 0]] != labels[..., pairs[:, 1]])

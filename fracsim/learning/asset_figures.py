@@ -9,7 +9,7 @@ import numpy as np
 from ..common.impulse import Impulse
 from ..data.samples import Samples
 from ..fracture.asset import BreakableAsset
-from ..fracture.predictor import field_from_scores
+from ..fracture.predictor import field_of_labels
 from ..geometry.sampling import SurfacePoints
 from ..metrics import ACCEPTED, amae, ari
 from .body import BodyGeometry
@@ -41,12 +41,11 @@ def evaluate_asset(
         where = points.at(test.faces[k, there], test.barycentric[k, there])
         impact = zip(where, test.directions[k, there], test.severities[k, there] * unit, strict=True)
         # The gate is made from the truth; a model is judged by its own answers.
-        fracture = asset._fracture([Impulse(*values) for values in impact], "field", gated=False)
+        fracture = asset.fracture([Impulse(*values) for values in impact], skip_weak=False)
         broke[k] = test.labels[k].any(), fracture.broken, nearest[k].any()
         if broke[k, 0]:
             truth = test.labels[k][vertex_atom]
-            parted = (test.labels[k][pairs[:, 0]] != test.labels[k][pairs[:, 1]]).astype(np.float64)
-            truth_field = field_from_scores(parted, distances, asset.cap)
+            truth_field = field_of_labels(test.labels[k], pairs, distances, asset.cap)
             rows.append(
                 (
                     ari(truth, fracture.labels),

@@ -18,6 +18,4 @@ def test_shipped_assets_answer_as_they_always_did(shipped):
     assert (expected.max(axis=1) > 0).sum() > 100  # enough of them break it
     labels = np.array([shipped.fracture(fracsim.Impulse(row[:3], row[3:6], row[6])).labels for row in impulses])
     different = np.flatnonzero((labels != expected).any(axis=1))
-    assert not len(different), (
-        f"{len(different)} of 500 impulses on the {shipped.name} differ: {different[:10]}"
-    )
+    assert not len(different), f"{len(different)} of 500 impulses on the {shipped.name} differ: {different[:10]}"
