@@ -19,7 +19,8 @@ import trimesh
 
 from fracsim.common.material import GAUGE, PRESETS
 from fracsim.fracture.rule import components, load_ratios, weakest_cut
-from fracsim.simulators.modal import modal_simulator
+from fracsim.simulators.modal import ModalSimulator
+from fracsim.simulators.registry import SimulatorOptions
 from fracsim.solids.surface import read_surface
 
 RESULTS = Path(__file__).parent / "results"
@@ -44,7 +45,7 @@ def mug() -> trimesh.Trimesh:
 def critical_speeds(mesh: trimesh.Trimesh, restitution: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
     """Per fall, the landing speeds that chip and that break the mesh, over GAUGE times the critical velocity."""
     surface = read_surface(mesh)
-    simulator = modal_simulator(surface, np.random.default_rng(0))
+    simulator = ModalSimulator.build(surface, SimulatorOptions(), np.random.default_rng(0))
     interfaces, volumes = simulator.interfaces, simulator.cells.volumes
     pairs = interfaces.pairs
     body = trimesh.Trimesh(surface.vertices, surface.faces, process=False)

@@ -21,7 +21,8 @@ from scipy.spatial import cKDTree
 from udf import CELLS, FRACTURES, MESHES, RESULTS, SEED, fractures
 
 from fracsim.geometry.complex import CellComplex
-from fracsim.simulators.modal import ModalSimulator, modal_simulator
+from fracsim.simulators.modal import ModalSimulator
+from fracsim.simulators.registry import SimulatorOptions
 from fracsim.solids.geodesics import crack_segments
 from fracsim.solids.solid import Solid
 from fracsim.solids.surface import read_surface, refine
@@ -39,9 +40,9 @@ OURS, CENTROID, CAGE = "ours", "nearest cell centroid", "nearest cage vertex"
 # ------------------------------------------------------------------------------------------ the parts themselves
 
 
-def additivity(truth: ModalSimulator) -> dict[str, float]:
+def additivity(simulator: ModalSimulator) -> dict[str, float]:
     """How far the parts' volumes and outer faces are from the body's, relative."""
-    parts, mesh = truth.cells, truth.surface.trimesh
+    parts, mesh = simulator.cells, simulator.surface.trimesh
     outer = parts.source >= 0
     p, q, r = np.moveaxis(parts.points[parts.triangles[outer]], 1, 0)
     area = 0.5 * np.linalg.norm(np.cross(q - p, r - p), axis=1)
@@ -70,10 +71,10 @@ def winding(points: FloatArray, vertices: FloatArray, faces: IntArray) -> FloatA
     return result
 
 
-def containment(truth: ModalSimulator) -> dict[str, float]:
+def containment(simulator: ModalSimulator) -> dict[str, float]:
     """Asks every part's closed surface which vertices, moved inward, it holds."""
-    parts, mesh = truth.cells, truth.surface.trimesh
-    points = truth.surface.vertices - INWARD * mesh.vertex_normals  # weighted by angle
+    parts, mesh = simulator.cells, simulator.surface.trimesh
+    points = simulator.surface.vertices - INWARD * mesh.vertex_normals  # weighted by angle
     label = parts.vertex_cells(len(points))
     complex_ = CellComplex(parts.points, parts.triangles, parts.sides)
     holders = np.zeros(len(points), dtype=np.int64)
@@ -104,16 +105,16 @@ def farthest(points: FloatArray, count: int) -> IntArray:
     return chosen
 
 
-def mappings(truth: ModalSimulator) -> dict[str, IntArray]:
+def mappings(simulator: ModalSimulator) -> dict[str, IntArray]:
     """(V,) the part of each vertex, by name of the way it is found."""
-    vertices, mesh = truth.surface.vertices, truth.surface.trimesh
-    cells = cKDTree(truth.fine_cells.centroids)
+    vertices, mesh = simulator.surface.vertices, simulator.surface.trimesh
+    cells = cKDTree(simulator.fine_cells.centroids)
     chosen = farthest(vertices, len(vertices) // SHARE)
     cage = vertices[chosen] + OFFSET * mesh.vertex_normals[chosen]
-    of_cage = truth.fine_to_cell[cells.query(cage)[1]]
+    of_cage = simulator.fine_to_cell[cells.query(cage)[1]]
     return {
-        OURS: truth.cells.vertex_cells(len(vertices)),
-        CENTROID: truth.fine_to_cell[cells.query(vertices)[1]],
+        OURS: simulator.cells.vertex_cells(len(vertices)),
+        CENTROID: simulator.fine_to_cell[cells.query(vertices)[1]],
         CAGE: of_cage[cKDTree(cage).query(vertices)[1]],
     }
 
@@ -151,9 +152,9 @@ def to_segments(points: FloatArray, start: FloatArray, end: FloatArray) -> Float
     return np.linalg.norm(arm - t[:, :, None] * along, axis=2).min(axis=1)
 
 
-def nearest_corner(truth: ModalSimulator, faces: IntArray, points: FloatArray) -> IntArray:
+def nearest_corner(simulator: ModalSimulator, faces: IntArray, points: FloatArray) -> IntArray:
     """The corner nearest to each point among those of its face: a wall may be thinner than its edges are long."""
-    gap = np.linalg.norm(truth.surface.vertices[faces] - points[:, None], axis=2)
+    gap = np.linalg.norm(simulator.surface.vertices[faces] - points[:, None], axis=2)
     return np.take_along_axis(faces, gap.argmin(axis=1)[:, None], axis=1)[:, 0]
 
 
@@ -164,13 +165,13 @@ class Wall:
     those that the two lie on. nearest: (N, 2), the nearest corners of the input's faces there.
     """
 
-    def __init__(self, truth: ModalSimulator, rng: np.random.Generator) -> None:
-        parts, vertices = truth.cells, truth.surface.vertices
+    def __init__(self, simulator: ModalSimulator, rng: np.random.Generator) -> None:
+        parts, vertices = simulator.cells, simulator.surface.vertices
         outer = np.flatnonzero(parts.source >= 0)
         corners = parts.points[parts.triangles[outer]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         double = np.linalg.norm(normal, axis=1)
-        faces = truth.surface.faces[parts.source[outer]]
+        faces = simulator.surface.faces[parts.source[outer]]
         normal = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         away = (corners.mean(axis=1)[:, :2] * normal[:, :2]).sum(axis=1)
@@ -186,8 +187,8 @@ class Wall:
         self.cells = parts.sides[outer][np.stack([start[through], end[through]], axis=1), 0]
         self.nearest = np.stack(
             [
-                nearest_corner(truth, faces[start[through]], self.entry),
-                nearest_corner(truth, faces[end[through]], self.exit),
+                nearest_corner(simulator, faces[start[through]], self.entry),
+                nearest_corner(simulator, faces[end[through]], self.exit),
             ],
             axis=1,
         )
@@ -220,9 +221,9 @@ class Wall:
 # ------------------------------------------------------------------------------------------------------ picture
 
 
-def unrolled(truth: ModalSimulator, columns: int = 240, rows: int = 220) -> tuple[IntArray, IntArray]:
+def unrolled(simulator: ModalSimulator, columns: int = 240, rows: int = 220) -> tuple[IntArray, IntArray]:
     """Outer and inner wall seen along radii: the parts and the nearest vertices there, (2, rows, columns), or -1."""
-    parts = truth.cells
+    parts = simulator.cells
     outer = np.flatnonzero(parts.source >= 0)
     corners = parts.points[parts.triangles[outer]]
     low, high = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
@@ -238,22 +239,24 @@ def unrolled(truth: ModalSimulator, columns: int = 240, rows: int = 220) -> tupl
             there = outer[here[hit[found]]]
             part[wall, row, found] = parts.sides[there, 0]
             origin = origin + np.where(np.isfinite(far), far, 0.0)[:, None] * direction
-            vertex[wall, row, found] = nearest_corner(truth, truth.surface.faces[parts.source[there]], origin[found])
+            vertex[wall, row, found] = nearest_corner(
+                simulator, simulator.surface.faces[parts.source[there]], origin[found]
+            )
     return part, vertex
 
 
-def draw(truth: ModalSimulator, labels: IntArray, of_vertex: dict[str, IntArray], result: dict) -> None:
+def draw(simulator: ModalSimulator, labels: IntArray, of_vertex: dict[str, IntArray], result: dict) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
     from matplotlib.colors import ListedColormap
 
-    part, vertex = unrolled(truth)
+    part, vertex = unrolled(simulator)
     # A fracture into few enough pieces to tell apart, and enough of them to show.
-    share = truth.cells.volumes / truth.cells.volumes.sum()
+    share = simulator.cells.volumes / simulator.cells.volumes.sum()
     label = min(labels, key=lambda row: abs(int((np.bincount(row, share) > 0.02).sum()) - 7))
-    order = np.argsort(np.argsort(-np.bincount(label, truth.cells.volumes)))
+    order = np.argsort(np.argsort(-np.bincount(label, simulator.cells.volumes)))
     label = order[label]
     colors = ListedColormap(np.vstack([pyplot.get_cmap("tab20").colors] * (1 + label.max() // 20))[: label.max() + 1])
     figure = pyplot.figure(figsize=(13, 7.2))
@@ -372,11 +375,11 @@ def main() -> None:
     result |= {"parts": [], "vertices": [], "wall": []}
     for name in ("bunny", "chair", "vase"):
         surface = replace(refine(read_surface(MESHES / f"{name}.obj")), name=name)
-        truth = modal_simulator(surface, np.random.default_rng(SEED), CELLS)
-        labels = fractures(truth, FRACTURES, np.random.default_rng(SEED + 1))
-        of_vertex = mappings(truth)
+        simulator = ModalSimulator.build(surface, SimulatorOptions(cells=CELLS), np.random.default_rng(SEED))
+        labels = fractures(simulator, FRACTURES, np.random.default_rng(SEED + 1))
+        of_vertex = mappings(simulator)
         result["parts"].append(
-            {"mesh": name, "parts": len(truth.cells.volumes), **additivity(truth), **containment(truth)}
+            {"mesh": name, "parts": len(simulator.cells.volumes), **additivity(simulator), **containment(simulator)}
         )
         right = of_vertex[OURS]
         row: dict = {"mesh": name}
@@ -384,14 +387,14 @@ def main() -> None:
             row[method] = float((labels[:, part] == labels[:, right]).mean())
             row[method + ", part"] = float((part == right).mean())
         result["vertices"].append(row)
-    wall = Wall(truth, np.random.default_rng(SEED + 2))
+    wall = Wall(simulator, np.random.default_rng(SEED + 2))
     result |= {"rays": len(wall.entry), "thickness": float(np.median(wall.thickness))}
     ends = {OURS + ", at the point": wall.cells}
     ends |= {method + ", at the vertex": part[wall.nearest] for method, part in of_vertex.items()}
     for method, part in ends.items():
-        result["wall"].append({"method": method, **wall.agreement(truth.cells, labels, part)})
+        result["wall"].append({"method": method, **wall.agreement(simulator.cells, labels, part)})
     write(result)
-    draw(truth, labels, of_vertex, result)
+    draw(simulator, labels, of_vertex, result)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,8 @@ from scipy.spatial import cKDTree
 from fracsim.geometry.sampling import CONE, SurfacePoints, cone
 from fracsim.metrics import amae
 from fracsim.simulators.base import Impacts
-from fracsim.simulators.modal import ModalSimulator, modal_simulator
+from fracsim.simulators.modal import ModalSimulator
+from fracsim.simulators.registry import SimulatorOptions
 from fracsim.solids.cut import DegenerateCut, cut_once, join_slivers
 from fracsim.solids.geodesics import CAP, CurveDistances, split_in_four
 from fracsim.solids.lattice import tilted_lattice
@@ -59,14 +60,14 @@ HEAT_SPLIT = "heat method, split mesh"
 EXACT = f"exact polyhedral, points every {COARSE}"
 
 
-def fractures(truth: ModalSimulator, count: int, rng: np.random.Generator) -> IntArray:
+def fractures(simulator: ModalSimulator, count: int, rng: np.random.Generator) -> IntArray:
     """(count, P) labels: the answers to single impacts at random places that part the body."""
-    pool = SurfacePoints(truth.surface.vertices, truth.surface.faces)
+    pool = SurfacePoints(simulator.surface.vertices, simulator.surface.faces)
     face, bary = pool.draw(2 * count, rng)
     directions = cone(-pool.normals[face], CONE, rng)
     impacts = Impacts(face[:, None], bary[:, None], directions[:, None], np.ones((2 * count, 1)))
     ratio = np.exp(rng.uniform(*np.log(RATIOS), 2 * count))
-    labels = truth.fracture(impacts.times(ratio * truth.thresholds(impacts))).labels
+    labels = simulator.fracture(impacts.times(ratio * simulator.thresholds(impacts))).labels
     return labels[labels.any(axis=1)][:count]
 
 
@@ -214,20 +215,20 @@ METHODS: dict[str, Callable[[Solid, Surface], Field]] = {
 # --------------------------------------------------------------------------------- the same cracks, other meshes
 
 
-def recut(truth: ModalSimulator, fine: Surface) -> Solid:
-    """The truth's parts with the same shape in finer faces for their outside: the same lattice, cut again."""
+def recut(simulator: ModalSimulator, fine: Surface) -> Solid:
+    """The simulator's cells with the same shape in finer faces for their outside: the same lattice, cut again."""
     rng = np.random.default_rng(SEED)
     while True:
-        lattice = tilted_lattice(truth.surface, CELLS, rng)
+        lattice = tilted_lattice(simulator.surface, CELLS, rng)
         try:
-            cut_once(truth.surface, *lattice)  # the simulator's own lattice is the first that can be cut
+            cut_once(simulator.surface, *lattice)  # the simulator's own lattice is the first that can be cut
         except DegenerateCut:
             continue
         cells = join_slivers(cut_once(fine, *lattice))
-        distance, match = cKDTree(truth.fine_cells.centroids).query(cells.centroids)
-        if len(cells.volumes) != len(truth.fine_cells.volumes) or distance.max() > 1e-9:
+        distance, match = cKDTree(simulator.fine_cells.centroids).query(cells.centroids)
+        if len(cells.volumes) != len(simulator.fine_cells.volumes) or distance.max() > 1e-9:
             raise RuntimeError("the finer surface gives other cells")
-        return coarsen(relabel(cells, truth.fine_to_cell[match]), fine)
+        return coarsen(relabel(cells, simulator.fine_to_cell[match]), fine)
 
 
 def subdivided(surface: Surface, times: int) -> Surface:
@@ -375,21 +376,21 @@ def row(
     }
 
 
-def on_mesh(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
-    name, surface = Path(truth.surface.name).stem, truth.surface
+def on_mesh(simulator: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
+    name, surface = Path(simulator.surface.name).stem, simulator.surface
     if geodesic:
-        reference = exact(truth.cells, surface, REFERENCE)
+        reference = exact(simulator.cells, surface, REFERENCE)
         truths = [reference(label) for label in labels]
     else:
         nodes = len(split_in_four(surface)[0])
         fine = subdivided(surface, 2)
-        reference = CurveDistances(recut(truth, fine), fine).between
+        reference = CurveDistances(recut(simulator, fine), fine).between
         truths = [reference(label)[:nodes] for label in labels]  # the first subdivision's nodes are ours
     rows = []
     for method, make in METHODS.items():
         if make is exact and geodesic is None:
             continue
-        build, field = timed(partial(make, truth.cells, surface))
+        build, field = timed(partial(make, simulator.cells, surface))
         seconds, fields = zip(*[timed(partial(field, label)) for label in labels], strict=True)
         rows.append(row(name, method, [build], seconds, measure(truths, fields, len(surface.vertices))))
     return rows
@@ -407,11 +408,11 @@ def on_closed_form(name: str, surface: Surface, solids: list[Solid], truths: lis
     return rows
 
 
-def converges(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
+def converges(simulator: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
     """How fields come together as spacing and faces shrink: mean and largest gap to the truth."""
-    surface = truth.surface
+    surface = simulator.surface
     nodes = len(split_in_four(surface)[0])
-    reference = exact(truth.cells, surface, REFERENCE)
+    reference = exact(simulator.cells, surface, REFERENCE)
     truths = np.array([reference(label) for label in labels])
 
     def entry(what: str, fields: list[FloatArray]) -> dict[str, object]:
@@ -421,26 +422,26 @@ def converges(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]
 
     rows = []
     for spacing in (4 * REFERENCE, 2 * REFERENCE, REFERENCE / 2):
-        field = exact(truth.cells, surface, spacing)
+        field = exact(simulator.cells, surface, spacing)
         rows.append(entry(f"exact polyhedral, points every {spacing:g}", [field(label) for label in labels]))
     for times in range(3):
         fine = subdivided(surface, times)
-        curves = CurveDistances(truth.cells if times == 0 else recut(truth, fine), fine)
+        curves = CurveDistances(simulator.cells if times == 0 else recut(simulator, fine), fine)
         fields = [curves.between(label)[:nodes] for label in labels]
         rows.append(entry(f"ours on {4**times} × the faces", fields))
     return rows
 
 
-def resolutions(truth: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
+def resolutions(simulator: ModalSimulator, labels: IntArray) -> list[dict[str, object]]:
     """The same fractures on 1, 3 and 9 times the vertices: mean gaps of the field at the vertices they share."""
-    base = len(truth.surface.vertices)
-    surfaces = [truth.surface, *(with_vertices(truth.surface, k * base) for k in (3, 9))]
-    solids = [truth.cells, *(recut(truth, fine) for fine in surfaces[1:])]
+    base = len(simulator.surface.vertices)
+    surfaces = [simulator.surface, *(with_vertices(simulator.surface, k * base) for k in (3, 9))]
+    solids = [simulator.cells, *(recut(simulator, fine) for fine in surfaces[1:])]
     rows = []
     for method in (OURS, SEEDED, HEAT, HEAT_SPLIT):
         fields = []
         for solid, surface in zip(solids, surfaces, strict=True):
-            distance, same = cKDTree(surface.vertices).query(truth.surface.vertices)
+            distance, same = cKDTree(surface.vertices).query(simulator.surface.vertices)
             if distance.max() > 1e-12:
                 raise RuntimeError("a vertex went missing")
             field = METHODS[method](solid, surface)
@@ -554,13 +555,13 @@ def main() -> None:
     convergence: list[dict] = []
     for name in ("bunny", "chair", "vase"):
         surface = replace(refine(read_surface(MESHES / f"{name}.obj")), name=name)
-        truth = modal_simulator(surface, np.random.default_rng(SEED), CELLS)
-        labels = fractures(truth, FRACTURES, np.random.default_rng(SEED + 1))
-        rows += on_mesh(truth, labels)
+        simulator = ModalSimulator.build(surface, SimulatorOptions(cells=CELLS), np.random.default_rng(SEED))
+        labels = fractures(simulator, FRACTURES, np.random.default_rng(SEED + 1))
+        rows += on_mesh(simulator, labels)
         if name == "bunny":
-            gaps = resolutions(truth, labels)
+            gaps = resolutions(simulator, labels)
             if geodesic:
-                convergence = converges(truth, labels[:5])
+                convergence = converges(simulator, labels[:5])
     for name, (surface, solids, truths) in closed_forms().items():
         rows += on_closed_form(name, surface, solids, truths)
     known = f"Truth on the meshes: exact polyhedral distance (MMP) to points every {REFERENCE:g} along the cracks."

@@ -1,9 +1,9 @@
-"""What the model makes of other truths: ``python benchmarks/truths.py`` (about 15 minutes).
+"""What the model learns from other simulators: ``python benchmarks/simulators.py`` (about 15 minutes).
 
-The bunny baked from elastic stress and from radial cracks, with a response of every interface's own, as any truth but
-the modal gets: how near the model comes, beside the most similar training impulse and, where the truth has no atoms
-of its own, what the atoms could say at best. Figures are the bake's own, on its test split. Writes
-benchmarks/results/truths.{json,md,png}.
+The bunny is baked from elastic stress and from radial cracks, with a response of its own for every interface, as with
+any simulator but the modal one. The table says how near the model comes, beside the most similar training impulse and,
+where the simulator has no atoms of its own, beside the best that atoms could express. Figures are the bake's own, on
+its test split. Writes benchmarks/results/simulators.{json,md,png}.
 """
 
 from __future__ import annotations
@@ -18,37 +18,37 @@ from fracsim.learning.field import FieldOptions
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
-TRUTHS = ("elastic", "radial")
+SIMULATORS = ("elastic", "radial")
 SAMPLES = {"elastic": 60000, "radial": 30000}
 STEPS = 4000
 
 
 def main() -> None:
     rows = []
-    for truth in TRUTHS:
+    for name in SIMULATORS:
         model = FieldOptions(response=True)
         model = replace(model, training=replace(model.training, steps=STEPS))
-        options = BakeOptions(truth=truth, samples=SAMPLES[truth], workers=1, evaluated=600, model=model)
+        options = BakeOptions(simulator=name, samples=SAMPLES[name], workers=1, evaluated=600, model=model)
         metadata = fracsim.bake(HERE.parent / "meshes" / "bunny.obj", options=options).metadata
-        rows.append({"truth": truth, **metadata["counts"], **metadata["test"]})
+        rows.append({"simulator": name, **metadata["counts"], **metadata["test"]})
         print(rows[-1], flush=True)
     RESULTS.mkdir(exist_ok=True)
-    data = {"command": "python benchmarks/truths.py", "samples": SAMPLES, "rows": rows}
-    (RESULTS / "truths.json").write_text(json.dumps(data, indent=2) + "\n")
+    data = {"command": "python benchmarks/simulators.py", "samples": SAMPLES, "rows": rows}
+    (RESULTS / "simulators.json").write_text(json.dumps(data, indent=2) + "\n")
     lines = [
-        f"The bunny baked from other truths, {STEPS} steps of training. `python benchmarks/truths.py`",
+        f"The bunny baked from other simulators, {STEPS} steps of training. `python benchmarks/simulators.py`",
         "",
-        "| truth | samples | atoms | interfaces | ARI | nearest impulse | atoms at best "
+        "| simulator | samples | atoms | interfaces | ARI | nearest impulse | atoms at best "
         "| breaks or not | nearest impulse |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {row['truth']} | {SAMPLES[row['truth']]} | {row['atoms']} | {row['interfaces']} | {row['ari']:.2f} "
+        f"| {row['simulator']} | {SAMPLES[row['simulator']]} | {row['atoms']} | {row['interfaces']} | {row['ari']:.2f} "
         f"| {row['ari_nearest_impulse']:.2f} | {row.get('ari_of_the_atoms', 1.0):.2f} | {row['balanced_accuracy']:.1%} "
         f"| {row['balanced_accuracy_nearest_impulse']:.1%} |"
         for row in rows
     ]
-    (RESULTS / "truths.md").write_text("\n".join(lines) + "\n")
+    (RESULTS / "simulators.md").write_text("\n".join(lines) + "\n")
     print("\n".join(lines))
 
     import matplotlib
@@ -59,11 +59,11 @@ def main() -> None:
     figure, axes = pyplot.subplots(figsize=(5, 3))
     for k, (key, label) in enumerate((("ari", "model"), ("ari_nearest_impulse", "nearest training impulse"))):
         axes.bar([i + 0.4 * k for i in range(len(rows))], [row[key] for row in rows], 0.36, label=label)
-    axes.set_xticks([i + 0.2 for i in range(len(rows))], [row["truth"] for row in rows])
+    axes.set_xticks([i + 0.2 for i in range(len(rows))], [row["simulator"] for row in rows])
     axes.set(ylabel="ARI, test split", ylim=(0, 1))
     axes.legend(fontsize=8)
     figure.tight_layout()
-    figure.savefig(RESULTS / "truths.png", dpi=110)
+    figure.savefig(RESULTS / "simulators.png", dpi=110)
 
 
 if __name__ == "__main__":
