@@ -11,7 +11,7 @@ from ..data.samples import Samples
 from ..fracture.asset import BreakableAsset
 from ..fracture.predictor import field_of_labels
 from ..geometry.sampling import SurfacePoints
-from ..metrics import ACCEPTED, amae, ari
+from ..metrics import ACCEPTED, amae, ari, balanced_accuracy
 from .body import BodyGeometry
 from .nearest import Nearest, NearestOptions
 
@@ -58,10 +58,6 @@ def evaluate_asset(
         progress((k + 1) / count)
     table = np.array(rows)
 
-    def balanced(column: int) -> float:
-        right = broke[:, column] == broke[:, 0]
-        return float(0.5 * (right[broke[:, 0]].mean() + right[~broke[:, 0]].mean()))
-
     return {
         "impulses": count,
         "breaking": len(rows),
@@ -71,8 +67,8 @@ def evaluate_asset(
         "accepted": float((table[:, 0] >= ACCEPTED).mean()),
         "accepted_nearest_impulse": float((table[:, 1] >= ACCEPTED).mean()),
         "amae": float(table[:, 2].mean()),
-        "balanced_accuracy": balanced(1),
-        "balanced_accuracy_nearest_impulse": balanced(2),
+        "balanced_accuracy": balanced_accuracy(broke[:, 0], broke[:, 1]),
+        "balanced_accuracy_nearest_impulse": balanced_accuracy(broke[:, 0], broke[:, 2]),
         "ms_median": float(np.median(table[:, 4])),
         "ms_p99": float(np.quantile(table[:, 4], 0.99)),
     }
