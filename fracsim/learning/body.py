@@ -14,8 +14,8 @@ from ..common.errors import DatasetError
 from ..data.dataset import Dataset
 from ..data.samples import Samples
 from ..fracture.atom_watershed import AtomWatershed
-from ..fracture.predictor import field_from_scores
-from ..fracture.rule import Interfaces, separated
+from ..fracture.predictor import field_of_labels
+from ..fracture.rule import Interfaces
 from ..geometry.complex import vertex_cells
 from ..solids.geodesics import CAP, CurveDistances, interface_distances, split_in_four
 from ..solids.spectrum import Spectrum, spectrum
@@ -112,7 +112,6 @@ class BodyGeometry:
     def fields(self, labels: IntArray, nodes: bool = False) -> Float32Array:
         """(N, V) the true fields of fractures that leave the atoms labels (N, A): the least distance to an interface
         that parts two pieces. nodes: (N, V + E), at the edge midpoints as well."""
-        parted = separated(labels, self.interfaces.pairs).astype(np.float64)
         distances = self.distances if nodes else self.distances[:, : len(self.vertices)]
-        fields = [field_from_scores(row, distances, CAP) for row in parted]
+        fields = [field_of_labels(row, self.interfaces.pairs, distances, CAP) for row in labels]
         return np.array(fields, dtype=np.float32).reshape(len(labels), distances.shape[1])
