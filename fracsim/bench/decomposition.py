@@ -1,6 +1,7 @@
-"""Ways to make the bodies of a break: how true they are to its pieces, how still they lie, and how long they take.
+"""Methods to make the bodies of a break: ``fracsim bench decomposition``.
 
-Every way is given the same pieces, those of held-out impacts to the shipped meshes.
+How close they are to the pieces, how still they lie, and how long they take. Every method gets the same pieces, those
+of test impacts on the shipped meshes. Only the command line uses this module.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from ..physics.states import ContactProperties
 from ..solids.convex import clip_apart
 from ..solids.convex_partition import GAP
 from ..solids.hulls import coacd_parts
+from .picture import new_figure, save_figure
 
 try:
     import manifold3d
@@ -34,12 +36,15 @@ try:
 except ImportError as error:
     raise MissingExtraError(str(error.name), "bake") from error
 
-Bodies = list[list[FloatArray]]  # the points of each convex part of each piece
+Bodies = list[list[FloatArray]]  # the points of each convex part of each piece, m
 
 MESHES = ("bunny", "chair", "vase")
-BREAKS = 5  # a mesh
-STEPS = 240  # one second
-DENSE = 20000  # samples of a surface that distances to it are taken from
+METHODS = ("baked", "one hull a piece", "coacd", "coacd, clipped")
+BREAKS, QUICK_BREAKS = 5, 1  # of each mesh
+IMPACTS = 100  # tried for each break; that is enough
+STEPS = 240  # one second, in which nothing acts on the bodies
+DENSE = 20000  # samples of a surface that distances to it are measured from
+FRICTION = 0.5
 COLUMNS = {
     "kept": "volume kept",
     "symmetric_difference": "symmetric difference",
@@ -53,53 +58,62 @@ COLUMNS = {
 }
 
 
-WAYS = ("baked", "one hull a piece", "coacd", "coacd, clipped")
-
-
-def _ways(asset: BreakableAsset, fracture: Fracture) -> dict[str, tuple[Bodies, float]]:
-    """The parts that each way makes of a break's pieces, and how many ms that took."""
+def _bodies(asset: BreakableAsset, fracture: Fracture) -> dict[str, tuple[Bodies, float]]:
+    """Make the bodies of a break by each method -> their convex parts in m, and how many ms that took."""
     baked = [[points for points, _ in piece.hulls] for piece in fracture.pieces]
     surfaces = [(piece.vertices / asset.size, piece.faces) for piece in fracture.pieces]
     begin = time.perf_counter()
     single = [[vertices[ConvexHull(vertices).vertices]] for vertices, _ in surfaces]
-    ms_single = _ms(begin)
+    ms_single = _ms_since(begin)
     begin = time.perf_counter()
     parts = coacd_parts(surfaces)
-    ms_parts = _ms(begin)
-    # What ``convex.separate`` does, with no second run of CoACD
-    begin = time.perf_counter()
+    ms_parts = _ms_since(begin)
     made = {"one hull a piece": (single, ms_single), "coacd": (parts, ms_parts)}
+    # What a world's "coacd" decomposition does, with no second run of CoACD.
+    begin = time.perf_counter()
     try:
         clipped = clip_apart(surfaces, parts, np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)))
-        made["coacd, clipped"] = clipped, ms_parts + _ms(begin)
+        made["coacd, clipped"] = clipped, ms_parts + _ms_since(begin)
     except BakeError:  # a small piece was left with nothing; a world keeps the baked parts then
         pass
-    sized = {
-        way: ([[points * asset.size for points in some] for some in bodies], ms) for way, (bodies, ms) in made.items()
-    }
-    return {"baked": (baked, fracture.timings["pieces"]), **sized}
+    result = {"baked": (baked, fracture.timings["pieces"])}
+    for method, (bodies, ms) in made.items():
+        result[method] = [[points * asset.size for points in parts] for parts in bodies], ms
+    return result
 
 
 def measure(quick: bool, seed: int, progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
-    """Figures of every way on every mesh, means over pieces; ms are of a whole break, ghost is the worst of all.
+    """Measure every method on every mesh.
 
-    quick: one break a mesh instead of five.
+    Parameters
+    ----------
+    quick : bool
+        Whether to measure one break of each mesh.
+    seed : int
+        Draws the impacts.
+    progress : callable
+        Called with the share done, from 0 to 1.
+
+    Returns
+    -------
+    dict
+        Plain data. Figures are means over the pieces; ms are of a whole break, ``ghost`` is the largest of all.
     """
-    breaks = 1 if quick else BREAKS
+    breaks = QUICK_BREAKS if quick else BREAKS
     result: dict[str, Any] = {"quick": quick, "seed": seed, "breaks": breaks, "meshes": {}}
     done = 0
     for mesh in MESHES:
         asset = load(mesh)
-        asset.fracture(asset.sample_impulses(1, seed))  # what is worked out once and kept
-        fractures = (asset.fracture(impact) for impact in asset.sample_impulses(100 * breaks, seed))
+        asset.fracture(asset.sample_impulses(1, seed))  # works out what is kept from then on
+        fractures = (asset.fracture(impact) for impact in asset.sample_impulses(IMPACTS * breaks, seed))
         chosen = list(itertools.islice((fracture for fracture in fractures if fracture.broken), breaks))
-        rows: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
+        rows: dict[str, list[dict[str, Any]]] = {method: [] for method in METHODS}
         for fracture in chosen:
-            for way, (bodies, ms) in _ways(asset, fracture).items():
-                rows[way].append(_judge(asset, fracture, bodies, ms, seed))
+            for method, (bodies, ms) in _bodies(asset, fracture).items():
+                rows[method].append(_judge(asset, fracture, bodies, ms, seed))
             done += 1
             progress(done / (len(MESHES) * breaks))
-        result["meshes"][mesh] = {name: _summary(some) for name, some in rows.items()}
+        result["meshes"][mesh] = {method: _summary(figures) for method, figures in rows.items()}
         result["meshes"][mesh]["pieces"] = float(np.mean([len(fracture.pieces) for fracture in chosen]))
     return result
 
@@ -107,6 +121,7 @@ def measure(quick: bool, seed: int, progress: Callable[[float], None] = lambda _
 def _judge(
     asset: BreakableAsset, fracture: Fracture, bodies: Sequence[Sequence[FloatArray]], ms: float, seed: int
 ) -> dict[str, Any]:
+    """Compare the bodies of one break with its pieces."""
     unions, rows = [], []
     for piece, parts in zip(fracture.pieces, bodies, strict=True):
         solid = manifold3d.Manifold(
@@ -135,20 +150,21 @@ def _judge(
 
 
 def _summary(breaks: Sequence[dict[str, Any]]) -> dict[str, float]:
-    pieces = [row for some in breaks for row in some["pieces"]]
-    ms = [some["ms"] for some in breaks]
+    """Summarise what ``_judge`` found for the breaks of one mesh by one method."""
+    pieces = [row for figures in breaks for row in figures["pieces"]]
+    ms = [figures["ms"] for figures in breaks]
     return {
         "breaks": len(breaks),
         **{name: float(np.mean([row[name] for row in pieces])) for name in pieces[0]},
-        "overlap": float(np.mean([some["overlap"] for some in breaks])),
+        "overlap": float(np.mean([figures["overlap"] for figures in breaks])),
         "ms_median": float(np.median(ms)),
         "ms_p99": float(np.quantile(ms, 0.99)),
-        "ghost": float(max(some["ghost"] for some in breaks)),
+        "ghost": float(max(figures["ghost"] for figures in breaks)),
     }
 
 
 def _hausdorff(first: manifold3d.Manifold, second: manifold3d.Manifold, seed: int) -> float:
-    """The furthest that a point of either surface is from the other, among samples of both."""
+    """Find the largest distance from a point of either surface to the other, among samples of both."""
     clouds = []
     for solid in (first, second):
         mesh = solid.to_mesh64()
@@ -159,7 +175,7 @@ def _hausdorff(first: manifold3d.Manifold, second: manifold3d.Manifold, seed: in
 
 
 def _ghost(asset: BreakableAsset, fracture: Fracture, bodies: Sequence[Sequence[FloatArray]]) -> float:
-    """m/s, the fastest piece after one second in which nothing acts on them."""
+    """Find the speed of the fastest piece, m/s, after one second in which nothing acts on the pieces."""
     pieces = [
         replace(piece, convex_parts=ConvexParts.of(parts)) for piece, parts in zip(fracture.pieces, bodies, strict=True)
     ]
@@ -167,7 +183,7 @@ def _ghost(asset: BreakableAsset, fracture: Fracture, bodies: Sequence[Sequence[
     try:
         engine = Engine(client)
         still = Pose(np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
-        spawned = spawn(engine, pieces, still, ContactProperties(0.5, 0.0, margin=GAP / 3 * asset.size), None)
+        spawned = spawn(engine, pieces, still, ContactProperties(FRICTION, 0.0, margin=GAP / 3 * asset.size), None)
         for _ in range(STEPS):
             engine.step()
         return float(max(np.linalg.norm(engine.motion(body.id)[0]) for body in spawned))
@@ -175,36 +191,51 @@ def _ghost(asset: BreakableAsset, fracture: Fracture, bodies: Sequence[Sequence[
         p.disconnect(client)
 
 
-def _ms(begin: float) -> float:
+def _ms_since(begin: float) -> float:
+    """Read the clock, in ms."""
     return (time.perf_counter() - begin) * 1e3
 
 
 def table(figures: dict[str, Any]) -> str:
-    """The figures as a table in Markdown."""
+    """Write the figures as Markdown.
+
+    Parameters
+    ----------
+    figures : dict
+        What ``measure`` returned.
+
+    Returns
+    -------
+    str
+        A table with a row for each mesh and method.
+    """
     lines = ["| mesh | bodies | breaks | " + " | ".join(COLUMNS.values()) + " |", "|---" * (len(COLUMNS) + 3) + "|"]
-    for mesh, ways in figures["meshes"].items():
-        for way in WAYS:
-            cells = [f"{ways[way][column]:.3g}" for column in COLUMNS]
-            lines.append(
-                f"| {mesh} | {way} | {ways[way]['breaks']} of {figures['breaks']} | " + " | ".join(cells) + " |"
-            )
+    for mesh, rows in figures["meshes"].items():
+        for method in METHODS:
+            cells = [f"{rows[method][column]:.3g}" for column in COLUMNS]
+            counts = f"{rows[method]['breaks']} of {figures['breaks']}"
+            lines.append(f"| {mesh} | {method} | {counts} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
 def draw(figures: dict[str, Any], path: Path) -> None:
-    """Symmetric difference against the time that the parts of a break take, a mark a mesh and a colour a way."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("matplotlib", "plot") from error
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.add_subplot()
-    for k, way in enumerate(WAYS):
+    """Draw the symmetric difference over the time that the parts of a break take.
+
+    Parameters
+    ----------
+    figures : dict
+        What ``measure`` returned. Each mesh has a mark, each method a colour.
+    path : Path
+        The PNG file to write.
+    """
+    figure = new_figure(6.4, 4.0, constrained=True)
+    axes = figure.subplots()
+    for k, method in enumerate(METHODS):
         for mesh, mark in zip(figures["meshes"], "o^s", strict=False):
-            row = figures["meshes"][mesh][way]
-            axes.plot(row["ms_median"], row["symmetric_difference"], mark, color=f"C{k}", label=f"{way}, {mesh}")
+            row = figures["meshes"][mesh][method]
+            axes.plot(row["ms_median"], row["symmetric_difference"], mark, color=f"C{k}", label=f"{method}, {mesh}")
     axes.set(xscale="log", xlabel="ms a break, median", ylabel="symmetric difference, of the piece's volume")
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3, which="both")
     figure.legend(loc="outside right upper", fontsize="small")
-    figure.savefig(path, dpi=150)
+    save_figure(figure, path, dots=150)

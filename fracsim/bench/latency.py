@@ -1,8 +1,9 @@
-"""From the contact to the pieces stepping in the world: what a break costs, first one of a process included.
+"""What a break costs, from the contact to the pieces stepping in the world: ``fracsim bench latency``.
 
-A ball is shot at each place of a held-out set of impulses, hard enough to deliver that impulse, and the step that
-breaks the body is timed whole. Every mesh has a process of its own. Beside it, in the same run: the thesis's pipeline,
-which stops at labels of vertices (a perceptron of 704 x 7 and a watershed on a NetworkX graph).
+A ball hits each place of a set of test impulses, hard enough to deliver that impulse, and the step that breaks the body
+is timed as a whole. Every mesh has a process of its own, whose first break is counted too. The thesis's pipeline, which
+stops at labels of vertices (a perceptron of 704 x 7 and a watershed on a NetworkX graph), is timed in the same run.
+Only the command line uses this module.
 """
 
 from __future__ import annotations
@@ -20,15 +21,41 @@ from typing import Any
 import numpy as np
 
 from ..fracture.asset import BreakableAsset, load
+from .picture import new_figure, save_figure
 
 MESHES = ("bunny", "chair", "vase", "bunny 9x")
-SIZE = 0.3  # m
-RATE = 240  # Hz
-LIMITS = {"median": 8.0, "p99": 17.0}  # ms; the median's is for some 3,300 vertices
+SIZE = 0.3  # m, the largest extent of the objects
+RATE = 240  # Hz, the steps of the simulation
+LIMITS = {"median": 8.0, "p99": 17.0}  # ms, what the project promises; the median is for some 3,300 vertices
+SHOTS, QUICK_SHOTS = 400, 60  # at each mesh
+FIRST_SHOTS = 12  # at each mesh in each further process, of which only the first break counts
+PROCESSES, QUICK_PROCESSES = 6, 2  # for each mesh, to time the first break of a process
+STEPS_TO_BREAK = 8  # steps in which a ball that starts so near has hit
+BALL_RADIUS = 0.03  # of the object's size
+START_GAP = 1e-3  # of the object's size, between the ball and the object
+THESIS_BREAKS, QUICK_THESIS_BREAKS = 40, 5  # that the thesis's pipeline is timed on
+PIECE_BINS = (2, 3, 5, 9, 17, 33, 65, 129)  # counts of pieces where the bins of the histogram begin
 
 
 def events(asset: BreakableAsset, count: int, seed: int) -> dict[str, Any]:
-    """Break an asset by balls shot at it -> per event: ms whole, ms of the engine's own step, pieces and so on."""
+    """Break an asset again and again with balls.
+
+    Parameters
+    ----------
+    asset : BreakableAsset
+        The asset at its final size.
+    count : int
+        How many balls hit it, each a new copy.
+    seed : int
+        Draws the places and the strength of the hits.
+
+    Returns
+    -------
+    dict
+        Plain data. ``rows`` has one row for each break: ms as a whole, ms of the engine's own step, ms of the step
+        after it, pieces, convex parts. ``stages`` has the ms of each stage, ``extra_memory_mb`` the memory that
+        breaking took at most.
+    """
     import pybullet as p
 
     from ..physics.world import World
@@ -36,43 +63,36 @@ def events(asset: BreakableAsset, count: int, seed: int) -> dict[str, Any]:
     client = p.connect(p.DIRECT)
     rows: list[list[float]] = []
     stages: dict[str, list[float]] = {}
-    impulses = asset.sample_impulses(count, seed)
     memory = 0.0
-    for impulse in impulses:
+    for impulse in asset.sample_impulses(count, seed):
         p.resetSimulation(physicsClientId=client)
         p.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=client)
         p.setTimeStep(1 / RATE, physicsClientId=client)
         world = World(client)
+        world.times_engine = True
         world.add(asset)
-        radius, mass = 0.03 * asset.size, asset.mass
+        radius, mass = BALL_RADIUS * asset.size, asset.mass
+        # The speed at which a ball of the object's own mass delivers the impulse: J * (1/m_ball + 1/m_eff at the
+        # point), where the object's rotation about its centre of mass counts, too.
         arm = np.cross(impulse.point - asset.center_of_mass, impulse.direction)
-        light = 2.0 / mass + arm @ np.linalg.solve(asset.inertia, arm)
-        speed = impulse.magnitude * light
-        start = impulse.point - (radius + 1e-3 * asset.size) * impulse.direction
+        inverse_mass = 2.0 / mass + arm @ np.linalg.solve(asset.inertia, arm)
+        speed = impulse.magnitude * inverse_mass
+        start = impulse.point - (radius + START_GAP * asset.size) * impulse.direction
         shape = p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=client)
         ball = p.createMultiBody(mass, shape, -1, start.tolist(), physicsClientId=client)
         p.changeDynamics(ball, -1, maxJointVelocity=1e5, contactProcessingThreshold=1e-4, physicsClientId=client)
         p.resetBaseVelocity(ball, (speed * impulse.direction).tolist(), physicsClientId=client)
-        memory = memory or _memory(anew=True)
-        stepped = [0.0]
-        step = world._engine.step
-
-        def timed(step: Callable[[], None] = step, stepped: list[float] = stepped) -> None:
-            begin = perf_counter()
-            step()
-            stepped[0] = perf_counter() - begin
-
-        world._engine.step = timed  # type: ignore[method-assign]
-        for _ in range(8):
+        memory = memory or _memory(restart=True)
+        for _ in range(STEPS_TO_BREAK):
             begin = perf_counter()
             broken = world.step()
-            whole = perf_counter() - begin
+            seconds = perf_counter() - begin
             if broken:
-                event, engine = broken[0], stepped[0]
+                event, engine = broken[0], world.engine_seconds
                 world.step()
+                after = world.engine_seconds  # of the first step that the pieces take
                 parts = sum(len(piece.convex_parts) for piece in event.fracture.pieces)
-                whole += stepped[0]  # the pieces' first
-                rows.append([1e3 * whole, 1e3 * engine, 1e3 * stepped[0], len(event.children), parts])
+                rows.append([1e3 * (seconds + after), 1e3 * engine, 1e3 * after, len(event.children), parts])
                 for name, ms in event.timings.items():
                     stages.setdefault(name, []).append(ms)
                 break
@@ -80,16 +100,31 @@ def events(asset: BreakableAsset, count: int, seed: int) -> dict[str, Any]:
     return {"shots": count, "rows": rows, "stages": stages, "extra_memory_mb": _memory() - memory}
 
 
-def _memory(anew: bool = False) -> float:
-    """MB, the most that this process has held, or what it holds, from which the most is counted anew (Linux)."""
-    if anew:
+def _memory(restart: bool = False) -> float:
+    """Read the peak memory of this process in MB (Linux); restart: begin to count the peak from what it holds now."""
+    if restart:
         Path("/proc/self/clear_refs").write_text("5")
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
 def thesis(count: int, seed: int) -> dict[str, Any]:
-    """ms of the thesis's pipeline on the bunny: perceptron (untrained: its weights cost no time), then watershed."""
+    """Time the thesis's pipeline on the bunny: perceptron, then watershed.
+
+    The perceptron is not trained, since the values of its weights cost no time.
+
+    Parameters
+    ----------
+    count : int
+        How many breaks to time.
+    seed : int
+        Draws the impulses.
+
+    Returns
+    -------
+    dict
+        ``prediction`` and ``segmentation``, a list of ms each.
+    """
     import torch
 
     from ..learning.mlp import Perceptron
@@ -104,23 +139,22 @@ def thesis(count: int, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     graph = SurfaceGraph.of(asset)
     prediction, segmentation = [], []
-    impulses = asset.sample_impulses(200, seed)
-    broken = [fracture for impulse in impulses if (fracture := asset.fracture(impulse)).broken][:count]
-    for fracture in broken:
+    fractures = (asset.fracture(impulse) for impulse in asset.sample_impulses(200, seed))
+    for fracture in [fracture for fracture in fractures if fracture.broken][:count]:
         inputs = np.hstack([points, np.tile(rng.normal(size=6), (len(points), 1))]).astype(np.float32)
         begin = perf_counter()
         with torch.inference_mode():
             net(torch.from_numpy(inputs)).numpy()
         prediction.append(1e3 * (perf_counter() - begin))
-        held = prepare(graph, fracture.udf / asset.size)
+        prepared = prepare(graph, fracture.udf / asset.size)
         begin = perf_counter()
-        REFERENCES["watershed"](held, THRESHOLD)
+        REFERENCES["watershed"](prepared, THRESHOLD)
         segmentation.append(1e3 * (perf_counter() - begin))
     return {"prediction": prediction, "segmentation": segmentation}
 
 
 def _fine_bunny(folder: Path) -> Path:
-    """The bunny with every face split in three twice, some 30,000 vertices, baked: a few minutes, once a folder."""
+    """Bake the bunny with every face split in three twice, some 30,000 vertices: a few minutes, once a folder."""
     from ..baking import BakeOptions, bake, model_for
     from ..solids.surface import read_surface, split_faces
 
@@ -141,46 +175,64 @@ def _fine_bunny(folder: Path) -> Path:
 
 
 def measure(quick: bool, seed: int, progress: Callable[[float], None], work: Path | None = None) -> dict[str, Any]:
-    """Figures a mesh, over the breaking ones of so many shots, and the thesis's pipeline beside."""
+    """Measure the breaks of each mesh, and the thesis's pipeline.
+
+    Parameters
+    ----------
+    quick : bool
+        Whether to measure the bunny only, with fewer hits.
+    seed : int
+        Draws the hits.
+    progress : callable
+        Called with the share done, from 0 to 1.
+    work : Path, optional
+        A folder that keeps the fine bunny; by default one in the system's temporary folder.
+
+    Returns
+    -------
+    dict
+        Plain data.
+    """
     meshes = MESHES[:1] if quick else MESHES
-    shots = 60 if quick else 400
+    shots = QUICK_SHOTS if quick else SHOTS
     result: dict[str, Any] = {"shots": shots, "size": SIZE, "limits": LIMITS, "meshes": {}}
     folder = work or Path(tempfile.gettempdir()) / "fracsim-bench"
     folder.mkdir(exist_ok=True)
     for done, name in enumerate(meshes):
         source = str(_fine_bunny(folder)) if name == "bunny 9x" else name
         processes = [_in_process("events", source, shots, seed)]
-        # The first event of a process, of some more processes.
-        processes += [_in_process("events", source, 12, seed + k) for k in range(1, 2 if quick else 6)]
+        further = range(1, QUICK_PROCESSES if quick else PROCESSES)
+        processes += [_in_process("events", source, FIRST_SHOTS, seed + number) for number in further]
         result["meshes"][name] = _summary(processes) | {"vertices": load(source).vertex_count}
         progress((done + 1) / (len(meshes) + 1))
-    beside = _in_process("thesis", "bunny", 5 if quick else 40, seed)
-    total = np.array(beside["prediction"]) + np.array(beside["segmentation"])
-    ours = result["meshes"]["bunny"]
+    times = _in_process("thesis", "bunny", QUICK_THESIS_BREAKS if quick else THESIS_BREAKS, seed)
+    total = np.array(times["prediction"]) + np.array(times["segmentation"])
     result["thesis"] = {
-        "prediction_ms": float(np.median(beside["prediction"])),
-        "segmentation_ms": float(np.median(beside["segmentation"])),
+        "prediction_ms": float(np.median(times["prediction"])),
+        "segmentation_ms": float(np.median(times["segmentation"])),
         "median_ms": float(np.median(total)),
         "p99_ms": float(np.quantile(total, 0.99)),
-        "times_ours": float(np.median(total) / ours["median_ms"]),
+        "times_ours": float(np.median(total) / result["meshes"]["bunny"]["median_ms"]),
     }
     progress(1.0)
     return result
 
 
 def _in_process(function: str, source: str, count: int, seed: int) -> dict[str, Any]:
+    """Call a function of this module in a process of its own, and read what it prints last."""
     command = [sys.executable, "-m", "fracsim.bench.latency", function, source, str(count), str(seed)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    return json.loads(process.stdout.splitlines()[-1])
 
 
 def _summary(processes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise the breaks of one mesh; each process counts with its first break, the first one with all."""
     rows = np.array(processes[0]["rows"])
     first = [process["rows"][0][0] for process in processes if process["rows"]]
     whole = rows[:, 0]
     stages = {name: float(np.median(values)) for name, values in processes[0]["stages"].items()}
-    bins = [2, 3, 5, 9, 17, 33, 65, 129]
-    counts = np.histogram(rows[:, 3], bins)[0]
+    counts = np.histogram(rows[:, 3], PIECE_BINS)[0]
+    bins = zip(PIECE_BINS, PIECE_BINS[1:], counts, strict=False)
     return {
         "events": len(rows),
         "median_ms": float(np.median(whole)),
@@ -192,13 +244,25 @@ def _summary(processes: list[dict[str, Any]]) -> dict[str, Any]:
         "step_after_ms": float(np.median(rows[:, 2])),
         "extra_memory_mb": processes[0]["extra_memory_mb"],
         "pieces": [int(value) for value in rows[:, 3]],
-        "parts": [int(value) for value in rows[:, 4]],
+        "convex_parts": [int(value) for value in rows[:, 4]],
         "ms": [float(value) for value in whole],
-        "histogram": {f"{a}-{b - 1}": int(n) for a, b, n in zip(bins, bins[1:], counts, strict=False)},
+        "histogram": {f"{a}-{b - 1}": int(n) for a, b, n in bins},
     }
 
 
 def table(figures: dict[str, Any]) -> str:
+    """Write the figures as Markdown.
+
+    Parameters
+    ----------
+    figures : dict
+        What ``measure`` returned.
+
+    Returns
+    -------
+    str
+        A table, and two paragraphs below it.
+    """
     lines = [
         "| mesh | vertices | events | pieces, median / most | convex parts | median, ms | p99, ms | "
         "first of a process, ms | the engine's own step | extra memory, MB |",
@@ -208,16 +272,16 @@ def table(figures: dict[str, Any]) -> str:
         first = row["first_ms"]
         lines.append(
             f"| {name} | {row['vertices']} | {row['events']} | {np.median(row['pieces']):.0f} / {max(row['pieces'])} | "
-            f"{np.median(row['parts']):.0f} | **{row['median_ms']:.1f}** | **{row['p99_ms']:.1f}** | "
+            f"{np.median(row['convex_parts']):.0f} | **{row['median_ms']:.1f}** | **{row['p99_ms']:.1f}** | "
             f"{np.median(first):.1f} (most {max(first):.1f}) | {row['engine_step_ms']:.2f} | "
             f"{row['extra_memory_mb']:.0f} |"
         )
-    beside = figures["thesis"]
+    thesis = figures["thesis"]
     lines += [
         "",
-        f"The thesis's pipeline on the bunny, no bodies: {beside['prediction_ms']:.0f} ms of prediction and "
-        f"{beside['segmentation_ms']:.1f} ms of segmentation, {beside['median_ms']:.0f} ms in all (p99 "
-        f"{beside['p99_ms']:.0f}): **{beside['times_ours']:.0f} times** ours with bodies.",
+        f"The thesis's pipeline on the bunny, no bodies: {thesis['prediction_ms']:.0f} ms of prediction and "
+        f"{thesis['segmentation_ms']:.1f} ms of segmentation, {thesis['median_ms']:.0f} ms in all (p99 "
+        f"{thesis['p99_ms']:.0f}): **{thesis['times_ours']:.0f} times** ours with bodies.",
         "",
         "Pieces of an event: "
         + "; ".join(
@@ -230,13 +294,18 @@ def table(figures: dict[str, Any]) -> str:
 
 
 def draw(figures: dict[str, Any], path: Path) -> None:
-    import matplotlib
+    """Draw the time of each break over its pieces, and how many breaks have how many pieces.
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    Parameters
+    ----------
+    figures : dict
+        What ``measure`` returned.
+    path : Path
+        The PNG file to write.
+    """
     meshes = figures["meshes"]
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 3.6))
+    figure = new_figure(9, 3.6)
+    left, right = figure.subplots(1, 2)
     for k, (name, row) in enumerate(meshes.items()):
         left.plot(row["pieces"], row["ms"], ".", ms=4, alpha=0.6, color=f"C{k}", label=name)
     left.axhline(LIMITS["p99"], color="0.4", lw=1)
@@ -247,12 +316,11 @@ def draw(figures: dict[str, Any], path: Path) -> None:
     right.hist([row["pieces"] for row in meshes.values()], bins=24, label=list(meshes))
     right.set(xlabel="pieces", ylabel="events")
     right.legend(frameon=False, fontsize=8)
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
+    save_figure(figure, path)
 
 
 def _main() -> None:
+    """Run one function in this process, as ``_in_process`` asks, and print what it returns as JSON."""
     function, source, count, seed = sys.argv[1:]
     if function == "thesis":
         print(json.dumps(thesis(int(count), int(seed))))

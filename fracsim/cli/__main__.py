@@ -1,4 +1,7 @@
-"""``python -m fracsim.cli``."""
+"""Run the command line as ``python -m fracsim.cli``.
+
+Nothing imports this module.
+"""
 
 import sys
 

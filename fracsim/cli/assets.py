@@ -1,4 +1,7 @@
-"""TODO cli.assets."""
+"""Commands that make, break, draw and describe assets: ``bake``, ``fracture``, ``view``, ``info``.
+
+The command line's main function adds them; each imports what it needs when it runs.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,93 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import FracsimError
-from .output import print_figures
+from ..common.material import PRESETS
+from .arguments import Commands, add_common, add_seed, add_simulator, listed
+from .output import print_figures, require_file, require_folder
 
 if TYPE_CHECKING:
     from ..common.impulse import Impulse
     from ..fracture.asset import BreakableAsset
 
+PREDICTORS = "field (default), interfaces or simulator"
+TRIES = 20  # random impulses that are tried for each impact that view draws; at least one of them mostly breaks
+
+
+def add_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add the commands on assets to the command line.
+
+    Parameters
+    ----------
+    commands : argparse action
+        What ``ArgumentParser.add_subparsers`` returned.
+    """
+    add_bake(commands.add_parser("bake", help="make a breakable asset from a watertight mesh"))
+    add_fracture(commands.add_parser("fracture", help="break an asset once, and print or write its pieces"))
+    add_view(commands.add_parser("view", help="draw how an asset breaks: field, pieces, convex parts"))
+    add_info(commands.add_parser("info", help="print what an asset holds and how good its model is"))
+
+
+def add_bake(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fracsim bake``."""
+    parser.add_argument("mesh", type=Path, help="any format that trimesh reads, in metres; one watertight component")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the asset (default: the mesh's name with .frac)")
+    parser.add_argument("--material", default="ceramic", metavar="NAME", help=listed(PRESETS, "ceramic"))
+    add_seed(parser, "of all random choices")
+    add_simulator(parser, "modal")
+    parser.add_argument("--cells", type=int, default=5000, help="cells of the solid (default: 5000)")
+    parser.add_argument("--modes", type=int, default=20, help="fracture modes (default: 20)")
+    parser.add_argument(
+        "--samples", type=int, default=250000, help="impacts to learn from and test on (default: 250000)"
+    )
+    parser.add_argument("--steps", type=int, default=8000, help="training steps (default: 8000)")
+    parser.add_argument("--workers", type=int, default=2, help="processes that make samples (default: 2)")
+    add_common(parser, quiet=True)
+    parser.set_defaults(run=bake, check_out=require_file)
+
+
+def add_fracture(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fracsim fracture``."""
+    _add_impact(parser)
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="write the pieces to this folder, as OBJ files")
+    add_common(parser)
+    parser.set_defaults(run=fracture, check_out=require_folder)
+
+
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fracsim view``."""
+    _add_impact(parser)
+    parser.add_argument(
+        "--count", type=int, default=3, help="random impacts to draw, from few pieces to many (default: 3)"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the picture (default: the asset's name with .png)")
+    add_common(parser)
+    parser.set_defaults(run=view, check_out=require_file)
+
+
+def add_info(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fracsim info``."""
+    parser.add_argument("asset", help="a file, or the name of an asset that comes with fracsim")
+    add_common(parser)
+    parser.set_defaults(run=info)
+
+
+def _add_impact(parser: argparse.ArgumentParser) -> None:
+    """Add the asset and the impulse that acts on it."""
+    parser.add_argument("asset", help="a file, or the name of an asset that comes with fracsim")
+    parser.add_argument("--point", type=float, nargs=3, metavar=("X", "Y", "Z"), help="m, in the asset's frame")
+    parser.add_argument("--direction", type=float, nargs=3, metavar=("X", "Y", "Z"), help="of any length")
+    parser.add_argument("--magnitude", type=float, help="N·s")
+    add_seed(parser, "draws the impulse if none is given")
+    parser.add_argument("--predictor", default="field", metavar="NAME", help=PREDICTORS)
+    parser.add_argument("--material", metavar="NAME", help=f"instead of the asset's own: {listed(PRESETS)}")
+    parser.add_argument("--scale", type=float, default=1.0, help="times the asset's own size (default: 1)")
+
 
 def bake(options: argparse.Namespace) -> dict[str, Any]:
+    """Run ``fracsim bake``."""
     from ..baking import BakeOptions, bake, model_for
 
-    out = options.out or Path(options.mesh.stem + ".frac")
+    out = require_file(options.out or Path(options.mesh.stem + ".frac"))
     learning = model_for(options.simulator)
     learning = replace(learning, training=replace(learning.training, steps=options.steps))
     asset = bake(
@@ -46,6 +125,7 @@ def bake(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def fracture(options: argparse.Namespace) -> dict[str, Any]:
+    """Run ``fracsim fracture``."""
     from ..common.files import write_beside
 
     asset = _asset_of(options)
@@ -84,6 +164,7 @@ def fracture(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _asset_of(options: argparse.Namespace) -> BreakableAsset:
+    """Load the asset that the command line names, of the size and material that it asks for."""
     from ..fracture.asset import load
 
     asset = load(options.asset).scaled(options.scale)
@@ -91,55 +172,60 @@ def _asset_of(options: argparse.Namespace) -> BreakableAsset:
 
 
 def _impulse_of(options: argparse.Namespace) -> Impulse | None:
-    """What the command line gives, if anything."""
+    """Read the impulse on the command line; None if there is none."""
     from ..common.impulse import Impulse
 
-    given = (options.point, options.direction, options.magnitude)
-    if all(value is None for value in given):
+    parts = (options.point, options.direction, options.magnitude)
+    if all(value is None for value in parts):
         return None
-    if any(value is None for value in given):
+    if any(value is None for value in parts):
         raise FracsimError("give --point, --direction and --magnitude together, or none for a random impulse")
-    return Impulse(*given)
+    return Impulse(*parts)
 
 
 def view(options: argparse.Namespace) -> dict[str, Any]:
+    """Run ``fracsim view``."""
     import numpy as np
 
     from ..study.view import picture_fractures
 
-    asset = _asset_of(options)
-    impulse = _impulse_of(options)
     if options.count < 1:
         raise FracsimError(f"--count must be at least 1, got {options.count}")
+    asset = _asset_of(options)
+    out = require_file(options.out or Path(f"{asset.name}.png"))
+    impulse = _impulse_of(options)
     if impulse is None:
-        drawn = asset.sample_impulses(20 * options.count, options.seed)
-        found = [(one, asset.fracture(one, options.predictor)) for one in drawn]
-        found = sorted((pair for pair in found if pair[1].broken), key=lambda pair: len(pair[1].pieces))
-        if not found:
-            raise FracsimError(f"{asset.name}: none of {len(drawn)} random impulses breaks it; give one")
-        chosen = np.linspace(0, len(found) - 1, options.count).round().astype(int)
-        impacts = [found[k] for k in dict.fromkeys(chosen.tolist())]
+        drawn = asset.sample_impulses(TRIES * options.count, options.seed)
+        tried = [(impulse, asset.fracture(impulse, options.predictor)) for impulse in drawn]
+        broken = sorted((pair for pair in tried if pair[1].broken), key=lambda pair: len(pair[1].pieces))
+        if not broken:
+            raise FracsimError(
+                f"{asset.name}: none of {len(drawn)} random impulses breaks it; give one with --point, "
+                "--direction and --magnitude"
+            )
+        chosen = np.linspace(0, len(broken) - 1, options.count).round().astype(int)
+        impacts = [broken[index] for index in dict.fromkeys(chosen.tolist())]
     else:
         impacts = [(impulse, asset.fracture(impulse, options.predictor))]
-    out = options.out or Path(f"{asset.name}.png")
-    picture_fractures(asset, [([one], fracture) for one, fracture in impacts], out)
+    picture_fractures(asset, [([impulse], fracture) for impulse, fracture in impacts], out)
     print(f"{out}: {asset.name} in {', '.join(str(len(fracture.pieces)) for _, fracture in impacts)} pieces")
     return {
         "out": str(out),
         "impacts": [
             {
-                "point": one.point.tolist(),
-                "direction": one.direction.tolist(),
-                "magnitude": one.magnitude,
+                "point": impulse.point.tolist(),
+                "direction": impulse.direction.tolist(),
+                "magnitude": impulse.magnitude,
                 "severity": fracture.severity,
                 "pieces": len(fracture.pieces),
             }
-            for one, fracture in impacts
+            for impulse, fracture in impacts
         ],
     }
 
 
 def info(options: argparse.Namespace) -> dict[str, Any]:
+    """Run ``fracsim info``."""
     from ..fracture.asset import load
 
     asset = load(options.asset)

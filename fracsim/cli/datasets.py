@@ -1,4 +1,7 @@
-"""TODO cli.datasets."""
+"""Commands on datasets: ``dataset make`` and ``dataset info``.
+
+The command line's main function adds them; each imports what it needs when it runs.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,61 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import DatasetError
-from .output import print_figures
+from .arguments import Commands, add_common, add_seed, add_simulator
+from .output import print_figures, require_file
+
+SAMPLES = 1000  # of a new dataset, unless the command line says otherwise
+KIB = 1024  # bytes; Linux counts a process's memory in KiB
 
 
-def dataset_make(options: argparse.Namespace) -> dict[str, Any]:
+def add_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+    """Add the commands on datasets to the command line.
+
+    Parameters
+    ----------
+    commands : argparse action
+        What ``ArgumentParser.add_subparsers`` returned.
+    """
+    dataset = commands.add_parser("dataset", help="make a file of fracture samples, or describe one")
+    actions = dataset.add_subparsers(dest="action", required=True, metavar="ACTION")
+    add_make(actions.add_parser("make", help="make a dataset, continue one, or repair one"))
+    add_info(actions.add_parser("info", help="describe a dataset, check it, and draw some of its samples"))
+
+
+def add_make(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fracsim dataset make``."""
+    parser.add_argument("mesh", type=Path, nargs="?", help="a watertight mesh; not needed with --like")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the dataset (default: the mesh's name with .h5)")
+    parser.add_argument("--samples", type=int, help=f"the total that the file shall hold (default: {SAMPLES})")
+    parser.add_argument("--append", type=int, metavar="N", help="instead: N more samples than the file holds")
+    parser.add_argument("--like", type=Path, metavar="FILE", help="make that dataset again from its own header")
+    add_seed(parser, "of all random choices", None)
+    add_simulator(parser, None)
+    parser.add_argument("--cells", type=int, help="cells of the solid (default: 5000)")
+    parser.add_argument("--modes", type=int, help="fracture modes, of simulators that have them (default: 20)")
+    parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
+    parser.add_argument(
+        "--backend", default="joblib", metavar="NAME", help="joblib (default), on this machine, or ray, on a cluster"
+    )
+    add_common(parser, quiet=True)
+    parser.set_defaults(
+        run=make,
+        check_out=require_file,
+        interrupted=lambda _: "finished blocks of samples are kept; ask for the total with --samples to go on",
+    )
+
+
+def add_info(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fracsim dataset info``."""
+    parser.add_argument("dataset", type=Path, help="a file that fracsim dataset make wrote")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the picture (default: the dataset's name with .png)")
+    add_seed(parser, "chooses the samples in the picture")
+    add_common(parser)
+    parser.set_defaults(run=info, check_out=require_file)
+
+
+def make(options: argparse.Namespace) -> dict[str, Any]:
+    """Run ``fracsim dataset make``."""
     import resource
     import time
 
@@ -23,6 +77,7 @@ def dataset_make(options: argparse.Namespace) -> dict[str, Any]:
     if (options.mesh is None) == (options.like is None):
         raise DatasetError("give a mesh, or --like and a dataset to make again")
     out = options.out or Path((options.mesh or options.like).stem + (".h5" if options.mesh else "_again.h5"))
+    require_file(out)
     progress = not options.quiet
     if options.like is not None:
         for name in ("samples", "append", "seed", "simulator", "cells", "modes"):
@@ -30,38 +85,38 @@ def dataset_make(options: argparse.Namespace) -> dict[str, Any]:
                 raise DatasetError(f"--{name} cannot be given with --like, whose header says it")
         seconds = regenerate(options.like, out, options.workers, options.backend, progress)
     else:
-        given = {name: getattr(options, name) for name in ("simulator", "cells", "modes")}
-        given["name"] = given.pop("simulator")
-        truth = SimulatorOptions(**{name: value for name, value in given.items() if value is not None})
-        total = 1000 if options.samples is None else options.samples
+        settings = {"name": options.simulator, "cells": options.cells, "modes": options.modes}
+        simulator = SimulatorOptions(**{name: value for name, value in settings.items() if value is not None})
+        total = SAMPLES if options.samples is None else options.samples
         if options.append is not None:
             if options.samples is not None or options.append < 1:
                 raise DatasetError("--append takes a number of at least 1, and no --samples beside it")
-            with Dataset(out) as there:
-                total = there.held + options.append
+            with Dataset(out) as dataset:
+                total = dataset.held + options.append
         surface = refine(read_surface(options.mesh))
         seed = options.seed or 0
-        seconds = make_dataset(out, surface, total, seed, truth, None, options.workers, options.backend, progress)
-    figures = _describe(out)
+        seconds = make_dataset(out, surface, total, seed, simulator, None, options.workers, options.backend, progress)
+    figures = describe(out)
     figures["seconds"] = {**seconds, "total": time.perf_counter() - begin}
-    # Linux counts in KiB. Of this process and of the largest of its workers.
+    # Of this process and of the largest of its workers.
     peak = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    figures["peak_memory_mb"] = max(peak) * 1024 / 1e6
+    figures["peak_memory_mb"] = max(peak) * KIB / 1e6
     print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     print_figures(figures)
     return figures
 
 
-def dataset_info(options: argparse.Namespace) -> dict[str, Any]:
+def info(options: argparse.Namespace) -> dict[str, Any]:
+    """Run ``fracsim dataset info``."""
     from ..study.view import picture_sheet
 
-    out = options.out or options.dataset.with_suffix(".png")
+    out = require_file(options.out or options.dataset.with_suffix(".png"))
     if options.dataset.resolve() in (out.resolve(), options.json and options.json.resolve()):
         raise DatasetError(f"{options.dataset}: would be overwritten; name another file with --out or --json")
-    figures = _describe(options.dataset)
+    figures = describe(options.dataset)
     header = figures["header"]
-    truth = ", ".join(f"{key} {value}" for key, value in header["simulator"].items())
-    print(f"{options.dataset}: {figures['mesh']}; {truth}; seed {header['seed']}; fracsim {header['fracsim']}")
+    simulator = ", ".join(f"{key} {value}" for key, value in header["simulator"].items())
+    print(f"{options.dataset}: {figures['mesh']}; {simulator}; seed {header['seed']}; fracsim {header['fracsim']}")
     print_figures(figures)
     for name in figures["damaged"]:
         print(f"  DAMAGED {name}")
@@ -71,7 +126,24 @@ def dataset_info(options: argparse.Namespace) -> dict[str, Any]:
     return figures
 
 
-def _describe(path: Path) -> dict[str, Any]:
+def describe(path: Path) -> dict[str, Any]:
+    """Read a dataset once, from end to end, and say what is in it.
+
+    Parameters
+    ----------
+    path : Path
+        The dataset.
+
+    Returns
+    -------
+    dict
+        Plain data: the header, the names of damaged chunks, and counts of samples, splits, kinds and pieces.
+
+    Raises
+    ------
+    DatasetError
+        If the file is not a dataset.
+    """
     import numpy as np
 
     from ..data.dataset import Dataset
@@ -95,7 +167,7 @@ def _describe(path: Path) -> dict[str, Any]:
                 "samples": len(count),
                 "damaged_chunks": len(damaged),
                 "vertices": len(dataset.surface.vertices),
-                "parts": len(dataset.cells.volumes),
+                "cells": len(dataset.cells.volumes),
                 "interfaces": len(dataset.file["interfaces/pairs"]),
                 "links": len(dataset.links),
             },

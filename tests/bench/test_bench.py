@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from fracsim.bench import NAMES, idle
-from fracsim.bench.stability import run as stability_run
+from fracsim.bench import BENCHMARKS as NAMES, idle
+from fracsim.bench.stability.matrix import all_cells
+from fracsim.bench.stability.run import run
 from fracsim.cli.main import main
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
@@ -42,7 +43,7 @@ def test_an_unknown_benchmark_is_refused_by_name(capsys):
 
 @pytest.mark.parametrize("seed", [161576974, 594949506, 92794863, 2140277470])
 def test_pieces_that_stand_in_what_is_slow_or_spins_too_fast_gain_no_energy(seed):
-    [cell] = [cell for cell in stability_run.cells(False, 0) if cell.seed == seed]
-    row = stability_run.run(cell)
+    [cell] = [cell for cell in all_cells(False, 0) if cell.seed == seed]
+    row = run(cell)
     assert row["broke"]
     assert row["failures"] == []

@@ -1,4 +1,7 @@
-"""TODO bench.stability.scenes."""
+"""The families of scenes of the stress matrix: who meets whom, and how.
+
+Each function fills a stage from a cell and its random numbers. ``run`` plays them.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +15,16 @@ import pybullet as p
 from ...common.impulse import Impulse
 from ...physics.events import FractureEvent
 from ...physics.impacts import ContactImpulse
-from .stage import APPROACH, GRAVITY, Cell, Stage, asset_named, random_direction, random_orientation
+from .aiming import aim, random_direction, random_orientation
+from .cells import APPROACH, GRAVITY, Cell, asset_named, asset_of
+from .stage import Stage
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 ORIGIN = np.zeros(3)
 
 
-# The families
-
-
 def _matrix(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """Bodies side by side, each thrown at from somewhere, or all dropped on the floor."""
+    """Put bodies side by side, and throw something at each from somewhere, or drop all on the floor."""
     n = cell.breakables
     side = int(np.ceil(n ** (1 / 3)))
     asset = asset_named(cell.mesh)
@@ -30,10 +32,10 @@ def _matrix(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
     lattice = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)[:n]
     # Neighbours that all but touch: what breaks one soon reaches the next.
     places = lattice * (extent + 0.01 * cell.size)
-    turn = random_orientation(rng) if n == 1 else UPRIGHT
+    orientation = random_orientation(rng) if n == 1 else UPRIGHT
     if cell.other == "floor":
         stage.floor()
-        bodies = [stage.breakable(place, turn) for place in places]
+        bodies = [stage.breakable(place, orientation) for place in places]
         low = min(p.getAABB(body, -1, physicsClientId=stage.client)[0][2] for body in bodies)
         step = cell.speed * cell.time_step
         rise = step * (APPROACH - min(1.0, 0.1 * cell.size / step) * rng.random())
@@ -45,33 +47,43 @@ def _matrix(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
             p.resetBaseVelocity(body, (0.0, 0.0, -cell.speed), physicsClientId=stage.client)
         return
     spin = 0.3 * float(rng.random() < 0.5) * float(n == 1)
-    bodies = [stage.breakable(place, turn, spin=spin) for place in places]
+    bodies = [stage.breakable(place, orientation, spin=spin) for place in places]
     reach = 2.0 * float(np.linalg.norm(np.ptp(places, axis=0))) + 3.0 * cell.size
     for target in rng.choice(n, min(n, 4), replace=False):
         missile = stage.missile(cell.size * rng.uniform(0.08, 0.3), cell.other)
         center = np.array(p.getBasePositionAndOrientation(bodies[target], physicsClientId=stage.client)[0])
-        stage.aim(missile, bodies, center, random_direction(rng), reach, rng.random())
+        aim(stage, missile, bodies, center, random_direction(rng), reach, rng.random())
     if rng.random() < 0.5:
         stage.boost(cell.speed * rng.random() * random_direction(rng))
 
 
 def _thrown_at(stage: Stage, cell: Cell, rng: np.random.Generator, delay: int = APPROACH, spin: float = 0.0) -> int:
-    """A body at the origin and a missile that comes for it -> the body."""
+    """Put a body at the origin and throw a missile at it -> the body."""
     body = stage.breakable(ORIGIN, random_orientation(rng), spin=spin)
     missile = stage.missile(cell.size * rng.uniform(0.1, 0.3), cell.other)
-    stage.aim(missile, [body], ORIGIN, random_direction(rng), 3.0 * cell.size, rng.random(), delay)
+    aim(stage, missile, [body], ORIGIN, random_direction(rng), 3.0 * cell.size, rng.random(), delay)
     return body
 
 
 def _held(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """A body that a constraint holds to the world (variants 0, 1) or to a free block (2, 3), rigidly or by a point."""
+    """Hold a body by a constraint to the world (variants 0, 1) or to a free block (2, 3), rigidly or by a point."""
     body = _thrown_at(stage, cell, rng)
     joint = p.JOINT_FIXED if cell.variant % 2 == 0 else p.JOINT_POINT2POINT
-    _, turn = p.getBasePositionAndOrientation(body, physicsClientId=stage.client)
+    _, orientation = p.getBasePositionAndOrientation(body, physicsClientId=stage.client)
     if cell.variant < 2:
         stage.free = False
         p.createConstraint(
-            body, -1, -1, -1, joint, [0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0, 1], turn, physicsClientId=stage.client
+            body,
+            -1,
+            -1,
+            -1,
+            joint,
+            [0, 0, 0],
+            [0, 0, 0],
+            [0, 0, 0],
+            [0, 0, 0, 1],
+            orientation,
+            physicsClientId=stage.client,
         )
         return
     _, high = p.getAABB(body, -1, physicsClientId=stage.client)
@@ -79,7 +91,7 @@ def _held(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
     block = stage.missile(half, "box", 1.0)
     top = [0.0, 0.0, high[2] + half]
     p.resetBasePositionAndOrientation(block, top, (0, 0, 0, 1), physicsClientId=stage.client)
-    _, inverse = p.invertTransform([0, 0, 0], turn)
+    _, inverse = p.invertTransform([0, 0, 0], orientation)
     arm = p.rotateVector(inverse, top)
     p.createConstraint(
         body, -1, block, -1, joint, [0, 0, 0], arm, [0, 0, 0], inverse, [0, 0, 0, 1], physicsClientId=stage.client
@@ -87,32 +99,32 @@ def _held(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
 
 
 def _post(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """Thrown at a static post, thick or thin, or at its edge."""
+    """Throw a body at a static post, thick or thin, or at its edge."""
     stage.free = False
     thickness = cell.size * (0.5, 0.1, 0.02)[cell.variant % 3]
     post = stage.fixture((thickness, thickness, 2.0 * cell.size), ORIGIN)
     body = stage.breakable(np.array([-3.0 * cell.size, 0.0, 0.0]), random_orientation(rng), spin=0.2)
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    way = np.array([np.cos(angle), np.sin(angle), 0.0])
-    stage.aim(body, [post], ORIGIN, way, 4.0 * cell.size, rng.random())
+    direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+    aim(stage, body, [post], ORIGIN, direction, 4.0 * cell.size, rng.random())
 
 
 def _mover(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """A body of mass 0 set from place to place (variant 0), with its speed told (1), or a slide on a motor (2)."""
+    """Move a body of mass 0 from place to place (variant 0), with a velocity besides (1), or a slide on a motor (2)."""
     stage.free = stage.closed = False
     stage.allowed = 3.0 * cell.speed
     body = stage.breakable(ORIGIN, random_orientation(rng))
-    half, way = 0.3 * cell.size, np.array([1.0, 0.0, 0.0])
+    half, direction = 0.3 * cell.size, np.array([1.0, 0.0, 0.0])
     client, step = stage.client, cell.speed * cell.time_step
     if cell.variant < 2:
         ram = stage.fixture((half, half, half), ORIGIN)
-        stage.aim(ram, [body], ORIGIN, way, 3.0 * cell.size, rng.random(), 0)
+        aim(stage, ram, [body], ORIGIN, direction, 3.0 * cell.size, rng.random(), 0)
         start = np.array(p.getBasePositionAndOrientation(ram, physicsClientId=client)[0])
 
         def carry(index: int) -> None:
-            place = start + (index - APPROACH) * step * way
+            place = start + (index - APPROACH) * step * direction
             p.resetBasePositionAndOrientation(ram, place.tolist(), (0, 0, 0, 1), physicsClientId=client)
-            velocity = cell.speed * way if cell.variant == 1 else ORIGIN
+            velocity = cell.speed * direction if cell.variant == 1 else ORIGIN
             p.resetBaseVelocity(ram, velocity.tolist(), physicsClientId=client)
 
         carry(0)
@@ -137,7 +149,7 @@ def _mover(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
     )
     stage.fixtures.append(slide)
     # The object is slid on to the ram, rather than the ram to the object.
-    stage.aim(body, [slide], np.array([-4.0 * cell.size, 0.0, 0.0]), -way, 4.0 * cell.size, 0.0, 0, 0.0)
+    aim(stage, body, [slide], np.array([-4.0 * cell.size, 0.0, 0.0]), -direction, 4.0 * cell.size, 0.0, 0, 0.0)
     p.resetJointState(slide, 0, -(APPROACH - rng.random()) * step, cell.speed, physicsClientId=client)
     p.changeDynamics(slide, 0, maxJointVelocity=1e5, physicsClientId=client)
     force = 1e3 * (mass + asset_named(cell.mesh).mass * cell.size**3) * cell.speed / cell.time_step
@@ -147,56 +159,65 @@ def _mover(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
 
 
 def _salvo(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """Balls or boxes from six sides, all in the same step."""
+    """Throw balls or boxes from six sides, all in the same step."""
     body = stage.breakable(ORIGIN, random_orientation(rng))
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
         missile = stage.missile(cell.size * rng.uniform(0.05, 0.15), cell.other)
-        stage.aim(missile, [body], ORIGIN, axis, 3.0 * cell.size, rng.random())
+        aim(stage, missile, [body], ORIGIN, axis, 3.0 * cell.size, rng.random())
 
 
 def _tips(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """At what sticks out farthest: head on (variant 0), across (1), or grazing (2)."""
-    turn = random_orientation(rng)
-    body = stage.breakable(ORIGIN, turn)
+    """Hit what sticks out farthest: head on (variant 0), across (1), or grazing (2)."""
+    orientation = random_orientation(rng)
+    body = stage.breakable(ORIGIN, orientation)
     asset = asset_named(cell.mesh)
-    rotation = np.reshape(p.getMatrixFromQuaternion(turn.tolist()), (3, 3))
+    rotation = np.reshape(p.getMatrixFromQuaternion(orientation.tolist()), (3, 3))
     points = (asset.vertices - asset.center_of_mass) @ rotation.T / asset.size * cell.size
     out = random_direction(rng)
     tip = points[np.argmax(points @ out)]
     across = np.cross(out, random_direction(rng))
     across /= np.linalg.norm(across)
     radius = cell.size * rng.uniform(0.03, 0.15)
-    way = (-out, across, across)[cell.variant % 3]
+    direction = (-out, across, across)[cell.variant % 3]
     target = tip - out * (0.0, 0.02, -0.7)[cell.variant % 3] * (cell.size, cell.size, radius)[cell.variant % 3]
-    stage.aim(stage.missile(radius, cell.other), [body], target, way, 3.0 * cell.size, rng.random())
+    aim(stage, stage.missile(radius, cell.other), [body], target, direction, 3.0 * cell.size, rng.random())
 
 
 def _inside(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """A ball inside the vase, on its way out through the wall."""
+    """Throw a ball from inside the vase through its wall."""
     asset = asset_named(cell.mesh)
-    turn = random_orientation(rng)
-    body = stage.breakable(ORIGIN, turn)
-    rotation = np.reshape(p.getMatrixFromQuaternion(turn.tolist()), (3, 3))
+    orientation = random_orientation(rng)
+    body = stage.breakable(ORIGIN, orientation)
+    rotation = np.reshape(p.getMatrixFromQuaternion(orientation.tolist()), (3, 3))
     hollow = rotation @ (np.array([0.0, 0.0, -0.05]) - asset.center_of_mass) * cell.size
     angle = rng.uniform(0.0, 2.0 * np.pi)
-    way = rotation @ np.array([np.cos(angle), np.sin(angle), rng.uniform(-0.3, 0.3)])
-    way /= np.linalg.norm(way)
+    direction = rotation @ np.array([np.cos(angle), np.sin(angle), rng.uniform(-0.3, 0.3)])
+    direction /= np.linalg.norm(direction)
     ball = stage.missile(0.07 * cell.size, "ball")
-    stage.aim(ball, [body], hollow, way, 0.0, rng.random(), delay=0)
+    aim(stage, ball, [body], hollow, direction, 0.0, rng.random(), delay=0)
     # Where the wall is too far to be met in two steps, or so near that two steps back lie outside, it starts later.
     place = np.array(p.getBasePositionAndOrientation(ball, physicsClientId=stage.client)[0])
-    back = min(APPROACH * cell.speed * cell.time_step, float((place - hollow) @ way))
-    p.resetBasePositionAndOrientation(ball, (place - back * way).tolist(), (0, 0, 0, 1), physicsClientId=stage.client)
-    p.resetBaseVelocity(ball, (cell.speed * way).tolist(), physicsClientId=stage.client)
+    back = min(APPROACH * cell.speed * cell.time_step, float((place - hollow) @ direction))
+    p.resetBasePositionAndOrientation(
+        ball, (place - back * direction).tolist(), (0, 0, 0, 1), physicsClientId=stage.client
+    )
+    p.resetBaseVelocity(ball, (cell.speed * direction).tolist(), physicsClientId=stage.client)
 
 
 def _nested(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """Breaking while breaking: again a step (variant 0) or two (1) later, or on command from a callback (2, 3)."""
+    """Break while breaking: again a step (variant 0) or two (1) later, or on command from a callback (2, 3)."""
     body = _thrown_at(stage, cell, rng)
     if cell.variant < 2:
         missile = stage.missile(cell.size * rng.uniform(0.1, 0.2), cell.other)
-        stage.aim(
-            missile, [body], ORIGIN, random_direction(rng), 3.0 * cell.size, rng.random(), APPROACH + 1 + cell.variant
+        aim(
+            stage,
+            missile,
+            [body],
+            ORIGIN,
+            random_direction(rng),
+            3.0 * cell.size,
+            rng.random(),
+            APPROACH + 1 + cell.variant,
         )
         return
     # The bystander is far away, or close enough to be in the same heap of contacts.
@@ -213,8 +234,11 @@ def _nested(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
 
 
 def _removal(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """A user takes away in a callback what was hit (variant 0), what hit it (1) or a bystander (2), or takes pieces
-    between steps, through the engine (3) or through the world (4)."""
+    """Remove bodies as a user might.
+
+    In a callback, what was hit (variant 0), what hit it (1) or a bystander (2); or pieces between steps, through the
+    engine (3) or through the world (4).
+    """
     stage.free = False
     body = _thrown_at(stage, cell, rng)
     bystander = stage.breakable(np.array([4.0 * cell.size, 0.0, 0.0]), UPRIGHT)
@@ -236,13 +260,16 @@ def _removal(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
 
 
 def _worlds(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """Two worlds in one process; they are told apart by nothing but their client."""
+    """Play the same scene in two worlds of one process, which differ in nothing but their client."""
     _thrown_at(stage, cell, rng, spin=0.2)
 
 
 def _states(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """A saved state brought back: across the break, where a refusal is an answer too (variants 0, 1), or between two
-    breaks, where everything must be where it was (2, 3)."""
+    """Restore a saved state.
+
+    Across the break, where the engine may refuse (variants 0, 1), or between two breaks, where everything must be
+    where it was (2, 3).
+    """
     client = stage.client
     body = _thrown_at(stage, cell, rng)
     marks: dict[str, int] = {}
@@ -264,7 +291,7 @@ def _states(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
     bystander = stage.breakable(np.array([4.0 * cell.size, 0.0, 0.0]), random_orientation(rng))
     missile = stage.missile(cell.size * rng.uniform(0.1, 0.2), cell.other)
     center = np.array([4.0 * cell.size, 0.0, 0.0])
-    stage.aim(missile, [body, bystander], center, random_direction(rng), 3.0 * cell.size, rng.random(), APPROACH + 10)
+    aim(stage, missile, [body, bystander], center, random_direction(rng), 3.0 * cell.size, rng.random(), APPROACH + 10)
     kept: dict[int, Any] = {}
 
     def poses() -> dict[int, Any]:
@@ -289,7 +316,7 @@ def _states(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
 
 
 def _robot(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """An arm that swings into the object: a KUKA iiwa (even variants) or a Franka Panda."""
+    """Swing an arm into the object: a KUKA iiwa (even variants) or a Franka Panda."""
     import pybullet_data
 
     stage.free = stage.closed = False
@@ -310,16 +337,16 @@ def _robot(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
         )  # fmt: skip
         p.changeDynamics(arm, joint, maxJointVelocity=1e4, physicsClientId=client)
     hand = np.array(p.getLinkState(arm, 6, physicsClientId=client)[0])
-    way = np.cross([0.0, 0.0, 1.0], hand)
-    way /= np.linalg.norm(way)
+    direction = np.cross([0.0, 0.0, 1.0], hand)
+    direction /= np.linalg.norm(direction)
     body = stage.breakable(hand, random_orientation(rng))
-    stage.aim(body, [arm], hand, -way, 2.0 * cell.size + 1.0, 0.0, 0, 0.0)
-    turn = -(APPROACH - rng.random()) * rates * cell.time_step
-    p.resetJointState(arm, 0, turn, rates, physicsClientId=client)
+    aim(stage, body, [arm], hand, -direction, 2.0 * cell.size + 1.0, 0.0, 0, 0.0)
+    angle = -(APPROACH - rng.random()) * rates * cell.time_step
+    p.resetJointState(arm, 0, angle, rates, physicsClientId=client)
 
 
 def _rest(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
-    """Broken on command: at rest in free space (variant 0), in full flight (1), standing on a floor (2)."""
+    """Break on command: at rest in free space (variant 0), in full flight (1), standing on a floor (2)."""
     body = stage.breakable(
         ORIGIN, UPRIGHT if cell.variant == 2 else random_orientation(rng), spin=0.5 if cell.variant == 1 else 0.0
     )
@@ -346,13 +373,13 @@ def _rest(stage: Stage, cell: Cell, rng: np.random.Generator) -> None:
 
 
 def _firm(cell: Cell, body: int, stage: Stage) -> Impulse:
-    """An impact on command, in the twin as in the scene, that breaks the object as it is made."""
-    asset = asset_named(cell.mesh).scaled(cell.size / asset_named(cell.mesh).size)
+    """Draw an impact on command, the same in the twin, that breaks the object at its own strength."""
+    asset = asset_of(cell)
     [impact] = asset.sample_impulses(1, cell.seed)
     return Impulse(impact.point, impact.direction, 10.0 * asset.mass * asset.material.breaking_velocity)
 
 
-FAMILIES: dict[str, tuple[Callable[[Stage, Cell, np.random.Generator], None], int]] = {  # with the number of variants
+FAMILIES: dict[str, tuple[Callable[[Stage, Cell, np.random.Generator], None], int]] = {  # scene, number of variants
     "matrix": (_matrix, 1),
     "held": (_held, 4),
     "post": (_post, 3),
