@@ -316,7 +316,7 @@ def draw(shapes: dict, plotted: dict) -> None:
 
     pieces = axes[1, 2]
     kinds = {
-        "another\nblow": lambda s: s["fracture"]["ari_of_another_impact"],
+        "another\nimpact": lambda s: s["fracture"]["ari_of_another_impact"],
         "diffusion": lambda s: s["fracture"]["ari"],
         "bending\nkept": lambda s: s["fracture_mean_against_bending"]["ari"],
         "finer\nmesh": lambda s: s["fracture_finer_mesh"]["ari"],
@@ -343,8 +343,8 @@ def report(shapes: dict, plotted: dict) -> None:
     columns = [rows(s) for s in shapes.values()]
     lines = [
         f"Momentum diffusion, as in the simulator, beside linear elasticity under inertia relief; {IMPACTS} single",
-        "impacts a shape. ρ: Spearman's rank correlation, of drives over the interfaces of each impact (median, 10 % to",
-        "90 % of the impacts) or of thresholds over the impacts. ARI: of the pieces that the vertices lie on, at",
+        "impacts a shape. ρ: Spearman's rank correlation, of drives over the interfaces of each impact (median, 10 %",
+        "to 90 % of the impacts) or of thresholds over the impacts. ARI: of the pieces that the vertices lie on, at",
         f"{RATIO} times each rule's own threshold. `python benchmarks/elastic.py`",
         "",
         "| | " + " | ".join(shapes) + " |",

@@ -1,16 +1,14 @@
 """Datasets on disk: one HDF5 file that says what made it, and can be made again from its own header. Offline only.
 
-A file holds the surface, the simulator with everything it needs to answer again, and samples in chunks of one block,
-compressed and checksummed. It is written block by block in HDF5's single-writer-multiple-readers mode, so another
-process may read it meanwhile, and whatever stops the writer, the finished blocks stay readable.
+A file holds the surface, the simulator with all that it needs to answer again, and samples in chunks of one block,
+compressed and with checksums. It is written block by block (``writing``) in HDF5's mode of one writer and many
+readers, so another process may read it meanwhile, and whatever stops the writer, the finished blocks stay readable.
 """
 
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
@@ -21,15 +19,14 @@ import numpy.typing as npt
 
 from ..common.arrays import IntArray
 from ..common.errors import DatasetError, MissingExtraError
-from ..fracture.predictor import field_from_scores
+from ..fracture.predictor import field_of_labels
 from ..fracture.rule import Interfaces
-from ..simulators import SIMULATORS
+from ..simulators import SIMULATORS, simulator_class
 from ..simulators.base import FractureSimulator
-from ..simulators.modal import ModalSimulator
-from ..simulators.radial import RadialSimulator
 from ..solids.geodesics import CurveDistances
-from ..solids.solid import Solid
+from ..solids.solid import solid_from_arrays
 from ..solids.surface import Surface
+from .hdf5 import UNREADABLE, Kept, get_arrays, open_dataset, reading
 from .samples import Samples
 
 try:
@@ -38,41 +35,58 @@ except ImportError as error:
     raise MissingExtraError("h5py", "bake") from error
 
 
-FORMAT = "fracsim dataset"
-VERSION = 2
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-UNREADABLE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError)  # what h5py raises on damage
-
-
 class Dataset:
-    """A dataset file, open for reading, possibly while another process writes it (if it did when this was opened, the
-    file may be seen to grow; otherwise open it anew to see more).
+    """A dataset file, open for reading. It is a context manager that closes the file.
 
-    header: what made it. surface, cells: what it is about. links: (L, 2) vertices that face each other through a thin
-    wall. Raises DatasetError, naming the file and the fault.
+    Another process may be writing it. A file that was being written when it was opened is seen to grow; otherwise
+    open it anew to see more.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    header : dict
+        What made it: version, seed, options of the simulator ("simulator"), rules of drawing ("sampling") and cap.
+    surface : Surface
+        Of largest extent 1, with V vertices and E edges.
+    cells : Solid
+        The C cells that labels speak of.
+    links : ndarray of int64, shape (L, 2)
+        Vertices that face each other through a thin wall.
+    block : int
+        Samples a block.
+    names : tuple of str
+        The fields of ``Samples`` that are kept.
+
+    Raises
+    ------
+    DatasetError
+        Where it is missing, not a dataset, of another version or damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.file = _open(self.path)
+        self.file = open_dataset(self.path)
         try:
-            with _typed(self.path):
-                header = json.loads(self.file.attrs["header"])
-                self.header: dict[str, Any] = header
-                self.block = int(header["sampling"]["block"])
-                surface = self.file["surface"]
-                self.surface = Surface(
-                    surface["vertices"][()],
-                    surface["faces"][()].astype(np.int64),
-                    float(surface.attrs["scale"]),
-                    np.array(surface.attrs["offset"], dtype=np.float64),
-                    str(surface.attrs["name"]),
-                )
-                self.links = self.file["links"][()].astype(np.int64)
-                self.cells = _load_solid(self.file["cells"])
+            with reading(self.path):
+                self.header: dict[str, Any] = json.loads(self.file.attrs["header"])
+                self.block = int(self.header["sampling"]["block"])
+                group = self.file["surface"]
+                arrays = get_arrays(group)
+                vertices, faces = arrays["vertices"], arrays["faces"]
+                scale, offset = float(group.attrs["scale"]), np.array(group.attrs["offset"], dtype=np.float64)
+                name = str(group.attrs["name"])
+                self.links: IntArray = self.file["links"][()].astype(np.int64)
+                self.cells = solid_from_arrays(get_arrays(self.file["cells"]))
                 self.names = tuple(self.file["samples"])
-                if set(self.names) != {field.name for field in fields(Samples)}:
-                    raise ValueError("its samples are not of this version")
+            if set(self.names) != {field.name for field in fields(Samples)}:
+                raise DatasetError(f"{self.path}: its samples are not of this version; make it again")
+            self.surface = Surface(vertices, faces, scale, offset, name)
         except BaseException:
             self.file.close()
             raise
@@ -88,58 +102,84 @@ class Dataset:
 
     @property
     def seed(self) -> int:
+        """The seed that simulator and samples were made from."""
         return int(self.header["seed"])
 
     @property
     def complete(self) -> IntArray:
-        """(B,) how many rows of each block are there; refreshed from the file, which may be growing."""
-        with _typed(self.path):
+        """Count the rows of each block, (B,), as the file says now; it may be growing."""
+        with reading(self.path):
             blocks = self.file["complete"]
             blocks.id.refresh()
             return np.asarray(blocks[()], dtype=np.int64)
 
     @property
     def held(self) -> int:
-        """Samples up to the last that is there, blocks missing before it included."""
+        """Count the samples up to the last that is kept, missing blocks before it included."""
         complete = self.complete
         return max((block * self.block + int(count) for block, count in enumerate(complete) if count), default=0)
 
+    @property
+    def interfaces(self) -> Interfaces:
+        """The interfaces between the cells."""
+        with reading(self.path):
+            group = self.file["interfaces"]
+            areas, normals, projected = (group[name][()] for name in ("areas", "normals", "projected"))
+            return Interfaces(group["pairs"][()].astype(np.int64), areas, normals, projected)
+
     @cached_property
     def simulator(self) -> FractureSimulator | None:
-        """The simulator itself, or None where it was one of the user's own, which no file can hold."""
-        made_by = self.header["simulator"]
-        with _typed(self.path):
-            if made_by["name"] not in SIMULATORS:
-                return None
-            floor = float(made_by["min_piece_volume_fraction"])
-            if made_by["name"] == "radial":
-                return RadialSimulator(self.surface, self.cells, floor)
-            group, joints = self.file["modal"], self.file["interfaces"]
-            fine_cells, fine_to_cell = _load_solid(group["fine_cells"]), group["fine_to_cell"][()].astype(np.int64)
-            impact_field = group["impact_field"][()].astype(np.float64)
-            interfaces = Interfaces(
-                joints["pairs"][()].astype(np.int64), *(joints[name][()] for name in ("areas", "normals", "projected"))
-            )
-            if made_by["name"] == "elastic":
-                from ..simulators.elastic import ElasticSimulator
-
-                gauge = float(group.attrs["gauge"])
-                return ElasticSimulator(
-                    self.surface, self.cells, interfaces, impact_field, gauge, floor, fine_cells, fine_to_cell
-                )
-            energies = tuple(tuple(energies) for energies in json.loads(group.attrs["energies"]))
-            return ModalSimulator(
-                self.surface, fine_cells, fine_to_cell, self.cells, interfaces, impact_field, floor, energies
-            )
+        """The simulator, which answers with the same bits; None where its class is not registered here."""
+        name = self.header["simulator"]["name"]
+        if name not in SIMULATORS:
+            return None
+        with reading(self.path):
+            group = self.file["simulator"]
+            arrays, numbers = get_arrays(group), json.loads(group.attrs["numbers"])
+        interfaces = self.interfaces
+        return simulator_class(name).restore(
+            self.surface, self.cells, interfaces, Kept(self.path, arrays), Kept(self.path, numbers)
+        )
 
     def samples(self, skip_damaged: bool = False) -> Samples:
-        """All samples, in order. A damaged chunk raises DatasetError by name, or is skipped with the rest of its
-        block."""
+        """Read all samples, in order.
+
+        Parameters
+        ----------
+        skip_damaged : bool
+            Whether to leave out blocks that hold a damaged chunk.
+
+        Returns
+        -------
+        Samples
+            The samples.
+
+        Raises
+        ------
+        DatasetError
+            Where a chunk is damaged; the message names it.
+        """
         blocks = list(self.blocks(skip_damaged))
         return Samples.join(blocks) if blocks else self._rows(0, 0)
 
     def blocks(self, skip_damaged: bool = False) -> Iterator[Samples]:
-        """The same block by block, for files larger than memory."""
+        """Read the samples block by block, for files larger than memory.
+
+        Parameters
+        ----------
+        skip_damaged : bool
+            Whether to leave out blocks that hold a damaged chunk.
+
+        Yields
+        ------
+        Samples
+            A block.
+
+        Raises
+        ------
+        DatasetError
+            Where a chunk is damaged; the message names it.
+        """
         for block, count in enumerate(self.complete.tolist()):
             if count:
                 try:
@@ -149,35 +189,55 @@ class Dataset:
                         raise
 
     def fields(self, labels: IntArray) -> npt.NDArray[np.float32]:
-        """(N, V + E), in units of the largest extent: geodesic distance to the nearest crack at the vertices and
-        edge midpoints, capped, of fractures that leave the cells labels (N, P).
+        """Work out the distance fields of fractures.
 
-        Where cracks are fixed, the least of the stored distances to the interfaces that part pieces; else by fast
-        marching, some 10 ms each."""
-        with _typed(self.path):
-            joints = self.file["interfaces"]
-            pairs = joints["pairs"][()]
-            distances = joints["distances"][()] if "distances" in joints else None
+        Where cracks are fixed, a field is the least of the stored distances to the interfaces between pieces. Else it
+        is found by fast marching, some 10 ms each.
+
+        Parameters
+        ----------
+        labels : ndarray of int64, shape (N, C)
+            The piece of each cell.
+
+        Returns
+        -------
+        ndarray of float32, shape (N, V + E)
+            Geodesic distance from vertices and edge midpoints to the nearest crack, in units of the largest extent,
+            capped.
+
+        Raises
+        ------
+        DatasetError
+            Where the stored distances are damaged.
+        """
+        with reading(self.path):
+            group = self.file["interfaces"]
+            pairs = group["pairs"][()]
+            distances = group["distances"][()] if "distances" in group else None
         if distances is None:
             curves = CurveDistances(self.cells, self.surface)
             return np.array([curves.between(row) for row in labels], dtype=np.float32)
-        parted = labels[:, pairs[:, 0]] != labels[:, pairs[:, 1]]
         cap = float(self.header["cap"])
-        return np.array([field_from_scores(row.astype(np.float64), distances, cap) for row in parted], dtype=np.float32)
+        return np.array([field_of_labels(row, pairs, distances, cap) for row in labels], dtype=np.float32)
 
     def damage(self) -> list[tuple[int, str]]:
-        """What cannot be read: blocks and the chunk's name in each; block -1 is not of the samples, and cannot be
-        mended."""
-        found: list[tuple[int, str]] = []
+        """Look for what cannot be read.
+
+        Returns
+        -------
+        list of (int, str)
+            The block, and the name of the chunk in it. Block -1 is not of the samples, and cannot be mended.
+        """
+        damaged: list[tuple[int, str]] = []
 
         def look(name: str, item: Any) -> None:
             if isinstance(item, h5py.Dataset) and not name.startswith(("samples/", "complete")):
                 try:
                     item[()]
                 except UNREADABLE:
-                    found.append((-1, f"/{name}"))
+                    damaged.append((-1, f"/{name}"))
 
-        with _typed(self.path):
+        with reading(self.path):
             self.file.visititems(look)
         for block, count in enumerate(self.complete.tolist()):
             for name in self.names:
@@ -187,80 +247,18 @@ class Dataset:
                     data.id.refresh()
                     data[start : start + count]
                 except UNREADABLE:
-                    found.append((block, f"/samples/{name}, rows {start} to {start + count - 1}"))
-        return found
+                    damaged.append((block, f"/samples/{name}, rows {start} to {start + count - 1}"))
+        return damaged
 
     def _rows(self, start: int, stop: int) -> Samples:
         values = {}
         for name in self.names:
-            where = f"the chunk of /samples/{name}, rows {start} to {stop - 1}, is damaged"
-            with _typed(self.path, where, "the rest can be read with skip_damaged, and making it again mends it"):
+            fault = f"the chunk of /samples/{name}, rows {start} to {stop - 1}, is damaged"
+            with reading(self.path, fault, "the rest can be read with skip_damaged, and making it again mends it"):
                 data = self.file["samples"][name]
                 data.id.refresh()
                 value = data[start:stop]
                 if name == "broken":
                     value = np.unpackbits(value, axis=1, count=int(data.attrs["width"])).astype(bool)
-                elif np.issubdtype(value.dtype, np.integer):
-                    value = value.astype(np.int64)
-                values[name] = value
+            values[name] = value.astype(np.int64) if value.dtype.kind in "iu" else value
         return Samples(**values)
-
-
-@contextmanager
-def _typed(
-    path: Path, where: str = "damaged or incomplete", way_out: str = "make it again, in a new file"
-) -> Iterator[None]:
-    """Whatever h5py raises on a damaged file, as a DatasetError."""
-    try:
-        yield
-    except UNREADABLE as error:
-        raise DatasetError(f"{path}: {where} ({error}); {way_out}") from error
-
-
-def _flagged(path: Path) -> bool:
-    """Whether the file says that somebody has it open for writing, in byte 11 of a version 3 superblock."""
-    with path.open("rb") as raw:
-        head = raw.read(12)
-    return len(head) == 12 and head.startswith(SIGNATURE) and head[8] >= 3 and head[11] != 0
-
-
-def _open(path: Path) -> h5py.File:
-    if path.is_dir():
-        raise DatasetError(f"{path}: is a folder; name a file in it")
-    if not path.is_file():
-        raise DatasetError(f"{path}: no such file")
-    try:
-        with path.open("rb") as raw:
-            head = raw.read(len(SIGNATURE))
-        if head != SIGNATURE:
-            raise OSError("no HDF5 signature")
-        file = _patiently(path)
-    except OSError as error:
-        raise DatasetError(f"{path}: not an HDF5 file, or damaged beyond reading ({error})") from error
-    try:
-        with _typed(path):
-            kind = (file.attrs.get("format"), file.attrs.get("version"))
-        if kind != (FORMAT, VERSION):
-            raise DatasetError(f"{path}: is {kind[0]!r} version {kind[1]!r}, expected {FORMAT!r} version {VERSION}")
-    except BaseException:
-        file.close()
-        raise
-    return file
-
-
-def _patiently(path: Path) -> h5py.File:
-    """Open it, as one of many readers only where there is a writer, or was one that never closed the file: as such HDF5
-    tries for minutes to read what is damaged. There is a moment in which a writer does not let readers in yet."""
-    for wait in (0.05, 0.2, 0.8, 0.0):
-        try:
-            return h5py.File(path, "r", libver="latest", swmr=_flagged(path), locking=False)
-        except OSError:
-            if not wait or not _flagged(path):
-                raise
-            time.sleep(wait)
-    raise AssertionError("the last wait is 0")
-
-
-def _load_solid(group: h5py.Group) -> Solid:
-    values = {field.name: group[field.name][()] for field in fields(Solid)}
-    return Solid(**{k: v.astype(np.int64) if np.issubdtype(v.dtype, np.integer) else v for k, v in values.items()})

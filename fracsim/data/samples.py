@@ -9,14 +9,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..common.errors import DatasetError, MissingExtraError
-from ..geometry.sampling import ratios
+from ..geometry.sampling import CONE, SEVERITY, ratios
 from ..simulators.base import FractureSimulator, Impacts, Response
-from .impacts import draw_impacts
+from .impacts import CONTACTS, KINDS, POOL, RING, SEVERAL, TILT, draw_impacts
 from .workers import run_blocks
 
 try:
@@ -142,3 +143,27 @@ def checked(simulator: FractureSimulator, impacts: Impacts, thresholds: FloatArr
     if broken is not None and (broken.dtype != bool or broken.ndim != 2 or len(broken) != count):
         raise DatasetError(f"{name}: broken must be booleans of shape ({count}, interfaces), or None")
     return Response(labels.astype(np.int64, copy=False), broken)
+
+
+def sampling_rules() -> dict[str, Any]:
+    """Lay down how samples are drawn; files drawn by other rules are read but not gone on with.
+
+    Returns
+    -------
+    dict
+        The numbers that drawing depends on, as JSON can hold them.
+    """
+    return {
+        "block": BLOCK,
+        "contacts": CONTACTS,
+        "several": SEVERAL,
+        "kinds": list(KINDS),
+        "cone": CONE,
+        "severity": list(SEVERITY),
+        "test": TEST,
+        "validation": VALIDATION,
+        "folds": FOLDS,
+        "pool": POOL,
+        "ring": list(RING),
+        "tilt": TILT,
+    }

@@ -1,14 +1,14 @@
-"""TODO data.writing."""
+"""Making datasets: new files, files that are gone on with, damaged files that are mended, and files made again.
+
+The command line, evaluation and users come in by ``make_dataset`` and ``regenerate``. What a simulator needs to answer
+again is kept through its ``state`` and ``restore``; no simulator is known by its name here.
+"""
 
 from __future__ import annotations
 
-import fcntl
 import json
 import operator
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,24 +18,26 @@ import numpy.typing as npt
 from .. import __version__
 from ..common.errors import DatasetError, MissingExtraError
 from ..common.progress import Stages
-from ..geometry.sampling import CONE, SEVERITY
-from ..simulators import SIMULATORS
-from ..simulators.base import FractureSimulator, interfaces_between
-from ..simulators.modal import ModalSimulator
-from ..simulators.registry import SimulatorOptions, make_simulator
+from ..simulators import SIMULATORS, UNREGISTERED, simulator_class
+from ..simulators.base import FractureSimulator, RegisteredSimulator, interfaces_between
+from ..simulators.registry import SimulatorOptions, make_simulator, options_for
 from ..solids.geodesics import CAP, CurveDistances, interface_distances
-from ..solids.solid import Solid
+from ..solids.solid import solid_to_arrays
 from ..solids.surface import Surface
 from ..solids.walls import facing_vertices
-from .dataset import FORMAT, VERSION, Dataset, _flagged
-from .impacts import CONTACTS, KINDS, POOL, RING, SEVERAL, TILT, draw_impacts
-from .samples import BLOCK, FOLDS, TEST, VALIDATION, Samples, checked, sample_block
+from .dataset import Dataset
+from .hdf5 import FORMAT, VERSION, alone, left_open, put_array, replacing, writing
+from .impacts import CONTACTS, draw_impacts
+from .samples import BLOCK, Samples, checked, sample_block, sampling_rules
 from .workers import check_workers, run_blocks
 
 try:
     import h5py
 except ImportError as error:
     raise MissingExtraError("h5py", "bake") from error
+
+COMPRESSION = 4  # of gzip: higher levels take longer and gain nothing here
+COUNTED = 1024  # blocks whose row counts share a chunk
 
 
 def make_dataset(
@@ -49,12 +51,41 @@ def make_dataset(
     backend: str = "joblib",
     progress: bool = False,
 ) -> dict[str, float]:
-    """Make a dataset of ``total`` samples, or bring the one that is there to at least as many; what is there stays.
+    """Make a dataset, or bring one to at least as many samples; what it holds stays.
 
-    options say which truth to build; simulator is one of the user's own instead, to be passed again to go on. An
-    interrupted file is taken up where it was left and damaged blocks are made again. Returns the seconds of each
-    stage. Raises DatasetError when the file is something else, was made of another surface, of other options or from
-    another seed, or is being written by another process.
+    An interrupted file is taken up where it was left, and damaged blocks are made again.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    surface : Surface
+        The body.
+    total : int
+        Samples that the file shall hold.
+    seed : int
+        The same seed gives the same samples to the bit, however many workers make them in how many sittings.
+    options : SimulatorOptions, optional
+        The simulator to build, any that is registered; the modal one by default.
+    simulator : FractureSimulator, optional
+        Instead of ``options``, a simulator of your own whose class is not registered. Pass it again to go on.
+    workers : int
+        Processes.
+    backend : str
+        "joblib" or "ray", see ``run_blocks``.
+    progress : bool
+        Whether to show a bar for each stage, on standard error.
+
+    Returns
+    -------
+    dict of str to float
+        The seconds of each stage.
+
+    Raises
+    ------
+    DatasetError
+        Where the file is something else, was made of another surface, by another simulator or from another seed, or
+        is being written by another process.
     """
     path = Path(path)
     try:
@@ -68,53 +99,39 @@ def make_dataset(
     check_workers(workers, backend)
     if not path.absolute().parent.is_dir():
         raise DatasetError(f"{path}: the folder {path.parent} does not exist; create it first")
-    options = options or SimulatorOptions()
-    with _alone(path), Stages(progress) as stage:
+    if simulator is None:
+        options = options or SimulatorOptions()
+        if not isinstance(options, simulator_class(options.name).options_type):
+            options = options_for(**asdict(options))
+        made_by = json.loads(json.dumps(asdict(options)))
+    else:
+        made_by = {"name": UNREGISTERED, "class": type(simulator).__name__}
+    with alone(path), Stages(progress) as stage:
         if path.exists():
             stage("check")
-            with Dataset(path) as there:
-                made_by = there.header["simulator"]
-                if simulator is None and made_by["name"] not in SIMULATORS:
-                    raise DatasetError(
-                        f"{path}: its truth was one of your own ({made_by.get('class')}); pass that simulator to go on"
-                    )
-                _same(there, surface, seed, asdict(options) if simulator is None else _named(simulator))
-                if simulator is None:
-                    simulator = there.simulator
-                elif not np.array_equal(simulator.cells.volumes, there.cells.volumes):
-                    raise DatasetError(f"{path}: was made by a simulator with other cells; name a new file")
-                total = max(total, there.held)
-                damage = there.damage()
-            for block, name in damage:
-                if block < 0:
-                    raise DatasetError(f"{path}: {name} is damaged, which cannot be mended; name a new file")
-            if damage or _flagged(path):
-                _salvage(path)
+            simulator, total = _gone_on_with(path, surface, seed, made_by, simulator, total)
         else:
-            made_by = asdict(options) if simulator is None else _named(simulator)
             if simulator is None:
+                assert options is not None
                 simulator = make_simulator(surface, options, seed, stage)
             _create(path, surface, simulator, seed, made_by, stage)
         stage("samples")
-        if simulator is None:
-            raise DatasetError(f"{path}: holds no simulator to go on with")
-        with _writing(path):  # no lock of HDF5's: there is ours, and readers must not keep a writer out
+        with writing(path):  # no lock of HDF5's: ``alone`` has one, and readers must not keep a writer out
             file = h5py.File(path, "r+", libver="latest", locking=False)
         try:
-            known = file["complete"][:]
+            complete = file["complete"][:]
             blocks = -(-total // BLOCK)
             present = np.zeros(blocks, dtype=np.int64)
-            present[: len(known)] = known[:blocks]
+            present[: len(complete)] = complete[:blocks]
             wanted = np.minimum(BLOCK, total - BLOCK * np.arange(blocks))
             missing = np.flatnonzero(present < wanted).tolist()
             file.swmr_mode = True
             results = run_blocks(sample_block, simulator, seed, missing, workers, backend)
             for done, (block, samples) in enumerate(zip(missing, results, strict=True), 1):
-                with _writing(path):
-                    _append(file, block, samples.take(slice(int(wanted[block]))))
+                append_block(path, file, block, samples.take(slice(int(wanted[block]))))
                 stage("samples", done / len(missing))
         finally:
-            with _writing(path):
+            with writing(path):
                 file.close()
     return stage.seconds
 
@@ -122,87 +139,74 @@ def make_dataset(
 def regenerate(
     source: str | Path, path: str | Path, workers: int = 1, backend: str = "joblib", progress: bool = False
 ) -> dict[str, float]:
-    """Make a dataset again from nothing but another one's header and surface; returns the seconds of each stage."""
+    """Make a dataset again from nothing but the header and surface of another one.
+
+    Parameters
+    ----------
+    source : str or Path
+        The dataset to make again.
+    path : str or Path
+        The new file.
+    workers, backend, progress
+        As of ``make_dataset``.
+
+    Returns
+    -------
+    dict of str to float
+        The seconds of each stage.
+
+    Raises
+    ------
+    DatasetError
+        Where the new file exists, or the simulator is not registered or not repeatable.
+    """
     if Path(path).exists():
         raise DatasetError(f"{path}: exists already; name a new file")
     with Dataset(source) as old:
-        kind = old.header["simulator"]["name"]
-        if kind == "elastic":
+        name = old.header["simulator"]["name"]
+        if name not in SIMULATORS:
             raise DatasetError(
-                f"{source}: elastic stress is kept in the file but cannot be worked out again bit by bit"
+                f"{source}: its simulator ({_class_of(old)}) is not registered, so it cannot be made again from the "
+                "file; register it first"
             )
-        if kind not in SIMULATORS:
-            raise DatasetError(f"{source}: its truth was one of your own and cannot be made again from the file")
-        _same(old, old.surface, old.seed, old.header["simulator"])
-        surface, total, seed, made_by = old.surface, old.held, old.seed, old.header["simulator"]
-    return make_dataset(path, surface, total, seed, SimulatorOptions(**made_by), None, workers, backend, progress)
+        if not simulator_class(name).repeatable:
+            raise DatasetError(
+                f"{source}: what the {name} simulator needs is kept in the file but cannot be worked out again bit "
+                "by bit; go on with that file instead"
+            )
+        _check_same(old, old.surface, old.seed, old.header["simulator"])
+        surface, total, seed, options = old.surface, old.held, old.seed, options_for(**old.header["simulator"])
+    return make_dataset(path, surface, total, seed, options, None, workers, backend, progress)
 
 
-def sampling_rules() -> dict[str, Any]:
-    """How samples are drawn; files drawn by other rules are read but not gone on with."""
-    return {
-        "block": BLOCK,
-        "contacts": CONTACTS,
-        "several": SEVERAL,
-        "kinds": list(KINDS),
-        "cone": CONE,
-        "severity": list(SEVERITY),
-        "test": TEST,
-        "validation": VALIDATION,
-        "folds": FOLDS,
-        "pool": POOL,
-        "ring": list(RING),
-        "tilt": TILT,
-    }
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Keeps any other process from making the same file meanwhile. HDF5's own locks end where readers are let in."""
-    lock = path.with_name(f".{path.name}.lock")
-    try:
-        handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o666)
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be written ({error.strerror})") from error
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(handle).st_nlink == 0:  # its last owner has just removed it
-                raise BlockingIOError
-        except BlockingIOError as error:
-            raise DatasetError(f"{path}: another process is writing it; wait for it, or name a new file") from error
-        try:
-            yield
-        finally:
-            lock.unlink(missing_ok=True)
-    finally:
-        os.close(handle)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Whatever h5py raises when it cannot write, as a DatasetError."""
-    try:
-        yield
-    except (OSError, RuntimeError) as error:
-        raise DatasetError(f"{path}: cannot be written ({error}); is there space, and are you allowed to?") from error
-
-
-@contextmanager
-def _beside(path: Path) -> Iterator[h5py.File]:
-    """A new file that takes the place of ``path`` once it is whole."""
-    name = path.with_name(f".{path.name}.part")  # one is enough: whoever writes it holds the lock
-    try:
-        with _writing(path):
-            if path.exists() and not os.access(path, os.W_OK):
-                raise OSError("read-only")
-            with h5py.File(name, "w", libver="latest") as file:
-                yield file
-            if path.exists():
-                os.chmod(name, path.stat().st_mode)
-            os.replace(name, path)
-    finally:
-        name.unlink(missing_ok=True)
+def _gone_on_with(
+    path: Path,
+    surface: Surface,
+    seed: int,
+    made_by: dict[str, Any],
+    simulator: FractureSimulator | None,
+    total: int,
+) -> tuple[FractureSimulator, int]:
+    """Check and mend a file that is gone on with; returns its simulator and the samples that it shall hold."""
+    with Dataset(path) as there:
+        if simulator is None and there.header["simulator"]["name"] == UNREGISTERED:
+            raise DatasetError(
+                f"{path}: its simulator was one of your own ({_class_of(there)}); pass that simulator to go on"
+            )
+        _check_same(there, surface, seed, made_by)
+        if simulator is None:
+            simulator = there.simulator
+            assert simulator is not None  # the header names what ``made_by`` names, which is registered
+        elif not np.array_equal(simulator.cells.volumes, there.cells.volumes):
+            raise DatasetError(f"{path}: was made by a simulator with other cells; name a new file")
+        total = max(total, there.held)
+        damage = there.damage()
+    for block, name in damage:
+        if block < 0:
+            raise DatasetError(f"{path}: {name} is damaged, which cannot be mended; name a new file")
+    if damage or left_open(path):
+        _salvage(path)
+    return simulator, total
 
 
 def _create(
@@ -213,11 +217,12 @@ def _create(
     made_by: dict[str, Any],
     stage: Stages,
 ) -> None:
+    """Write a file without samples; all that is worked out is worked out before there is a file."""
     if not np.array_equal(simulator.surface.vertices, surface.vertices):
         raise DatasetError(f"{path}: the simulator is of another surface")
-    # A first answer, before there is a file: is it one, and does this truth say which interfaces gave way?
+    # A first answer: is it one, and does this simulator say which interfaces break?
     impacts, _ = draw_impacts(surface, 4, np.random.default_rng(0))
-    told = checked(simulator, impacts, simulator.thresholds(impacts), simulator.fracture(impacts)).broken
+    broken = checked(simulator, impacts, simulator.thresholds(impacts), simulator.fracture(impacts)).broken
     header = {
         "fracsim": __version__,
         "seed": seed,
@@ -227,142 +232,159 @@ def _create(
         "units": "lengths in units of the largest extent; severity = impulse / (mass * breaking velocity)",
     }
     stage("distances")
-    with _beside(path) as file:
+    interfaces = interfaces_between(simulator.cells)
+    content: dict[str, npt.NDArray[Any]] = {
+        "surface/vertices": surface.vertices,
+        "surface/faces": surface.faces,
+        "links": facing_vertices(surface),
+        **solid_to_arrays(simulator.cells, "cells/"),
+        **{f"interfaces/{name}": values for name, values in vars(interfaces).items()},
+    }
+    if simulator.fixed_cracks:
+        curves = CurveDistances(simulator.cells, surface)
+        distances, _ = interface_distances(curves, interfaces.pairs, stage.ticker("distances"))
+        content["interfaces/distances"] = distances.astype(np.float16)
+    numbers: str | None = None
+    if made_by["name"] != UNREGISTERED:
+        registered: RegisteredSimulator = simulator  # type: ignore[assignment]  # built by its registered class
+        kept, plain = registered.state()
+        content |= {f"simulator/{name}": values for name, values in kept.items()}
+        numbers = json.dumps(plain)
+    columns = _columns(len(simulator.cells.volumes), 0 if broken is None else broken.shape[1])
+    with replacing(path) as file:
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
         file.attrs["header"] = json.dumps(header)
-        group = file.create_group("surface")
-        _put(group, "vertices", surface.vertices)
-        _put(group, "faces", surface.faces.astype(np.int32))
+        for name, values in content.items():
+            put_array(file, name, values)
+        group = file["surface"]
         group.attrs["scale"], group.attrs["offset"], group.attrs["name"] = surface.scale, surface.offset, surface.name
-        _put(file, "links", facing_vertices(surface).astype(np.int32))
-        _save_solid(file.create_group("cells"), simulator.cells)
-        if made_by["name"] in ("modal", "elastic"):
-            group = file.create_group("modal")
-            given: Any = simulator
-            _save_solid(group.create_group("fine_cells"), given.fine_cells)
-            _put(group, "fine_to_cell", given.fine_to_cell.astype(np.int32))
-            if isinstance(simulator, ModalSimulator):
-                _put(group, "impact_field", simulator.impact_field)
-                group.attrs["energies"] = json.dumps(simulator.energies)
-            else:
-                _put(group, "impact_field", given.unit_tractions.astype(np.float32))
-                group.attrs["gauge"] = given.gauge
-        joints = interfaces_between(simulator.cells)
-        group = file.create_group("interfaces")
-        _put(group, "pairs", joints.pairs.astype(np.int32))
-        for name in ("areas", "normals", "projected"):
-            _put(group, name, getattr(joints, name))
-        if simulator.fixed_cracks:
-            curves = CurveDistances(simulator.cells, surface)
-            distances, _ = interface_distances(curves, joints.pairs, stage.ticker("distances"))
-            _put(group, "distances", distances.astype(np.float16))
-        cells = len(simulator.cells.volumes)
-        interfaces = 0 if told is None else told.shape[1]
+        if numbers is not None:
+            file.require_group("simulator").attrs["numbers"] = numbers
         group = file.create_group("samples")
-        contacts = (CONTACTS,)
-        shapes: dict[str, tuple[tuple[int, ...], Any]] = {
-            "faces": (contacts, np.int32),
-            "barycentric": ((*contacts, 3), np.float64),
-            "directions": ((*contacts, 3), np.float64),
-            "severities": (contacts, np.float64),
-            "ratio": ((), np.float64),
-            "kind": ((), np.int8),
-            "labels": ((cells,), np.uint8 if cells <= 256 else np.uint16 if cells <= 65536 else np.int64),
-            "broken": ((-(-interfaces // 8),), np.uint8),
-            "split": ((), np.int8),
-            "fold": ((), np.int8),
-        }
-        for name, (shape, dtype) in shapes.items():
-            if 0 in shape:  # a simulator that knows no interfaces
-                shape = (1,)
+        for name, column in columns.items():
             group.create_dataset(
                 name,
-                (0, *shape),
-                dtype,
-                maxshape=(None, *shape),
-                chunks=(BLOCK, *shape),
+                (0, *column.shape),
+                column.dtype,
+                maxshape=(None, *column.shape),
+                chunks=(BLOCK, *column.shape),
                 compression="gzip",
-                compression_opts=4,
+                compression_opts=COMPRESSION,
                 shuffle=True,
                 fletcher32=True,
             )
-        group["broken"].attrs["width"] = interfaces
-        file.create_dataset("complete", (0,), np.int32, maxshape=(None,), chunks=(1024,), fletcher32=True)
+        group["broken"].attrs["width"] = 0 if broken is None else broken.shape[1]
+        file.create_dataset("complete", (0,), np.int32, maxshape=(None,), chunks=(COUNTED,), fletcher32=True)
 
 
-def _append(file: h5py.File, block: int, samples: Samples) -> None:
-    """Write a block; only when all of it is handed to the system does it count."""
+@dataclass(frozen=True)
+class _Column:
+    """How a field of Samples is kept: the shape and type of a row."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+
+
+def _columns(cells: int, interfaces: int) -> dict[str, _Column]:
+    """Say how each field of Samples is kept."""
+    labels = np.uint8 if cells <= 2**8 else np.uint16 if cells <= 2**16 else np.int64
+    return {
+        "faces": _Column((CONTACTS,), np.int32),
+        "barycentric": _Column((CONTACTS, 3), np.float64),
+        "directions": _Column((CONTACTS, 3), np.float64),
+        "severities": _Column((CONTACTS,), np.float64),
+        "ratio": _Column((), np.float64),
+        "kind": _Column((), np.int8),
+        "labels": _Column((cells,), labels),
+        "broken": _Column((max(1, -(-interfaces // 8)),), np.uint8),  # bits; HDF5 has no rows of no width
+        "split": _Column((), np.int8),
+        "fold": _Column((), np.int8),
+    }
+
+
+def append_block(path: Path, file: h5py.File, block: int, samples: Samples) -> None:
+    """Write a block; it counts only when all of it is handed to the system.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for the message of an error.
+    file : h5py.File
+        The same, open for writing.
+    block : int
+        Which block.
+    samples : Samples
+        Its rows, at most BLOCK.
+
+    Raises
+    ------
+    DatasetError
+        Where it cannot be written.
+    """
     start, stop = block * BLOCK, block * BLOCK + len(samples)
-    values = {name.name: getattr(samples, name.name) for name in fields(Samples)}
+    values = {field.name: getattr(samples, field.name) for field in fields(Samples)}
     width = values["broken"].shape[1]
     values["broken"] = np.packbits(values["broken"], axis=1) if width else np.zeros((len(samples), 1), np.uint8)
-    for name, value in values.items():
-        data = file["samples"][name]
-        if len(data) < stop:
-            data.resize(stop, axis=0)
-        data[start:stop] = value
-        data.flush()
-    complete = file["complete"]
-    if len(complete) <= block:
-        complete.resize(block + 1, axis=0)
-    complete[block] = len(samples)
-    complete.flush()
+    with writing(path):
+        for name, value in values.items():
+            data = file["samples"][name]
+            if len(data) < stop:
+                data.resize(stop, axis=0)
+            data[start:stop] = value
+            data.flush()
+        complete = file["complete"]
+        if len(complete) <= block:
+            complete.resize(block + 1, axis=0)
+        complete[block] = len(samples)
+        complete.flush()
 
 
 def _salvage(path: Path) -> None:
     """Rewrite a file that its writer did not close, or that holds damaged blocks, with what is good in it."""
-    with Dataset(path) as old, _beside(path) as file:
-        for name, value in old.file.attrs.items():
-            file.attrs[name] = value
-        for name in old.file:
-            if name not in ("samples", "complete"):
-                old.file.copy(name, file)
+    with Dataset(path) as old:
         bad = {block for block, _ in old.damage() if block >= 0}
         complete = old.complete
         complete[sorted(bad)] = 0
-        group = file.create_group("samples")
-        for name, data in old.file["samples"].items():
-            rows = min(len(data), len(complete) * BLOCK)
-            copy = group.create_dataset_like(name, data, shape=(rows, *data.shape[1:]))
-            for key, value in data.attrs.items():
-                copy.attrs[key] = value
-            for block in np.flatnonzero(complete).tolist():
-                part = slice(block * BLOCK, block * BLOCK + int(complete[block]))
-                copy[part] = data[part]
-        new = file.create_dataset_like("complete", old.file["complete"], shape=complete.shape)
-        new[:] = complete
+        good = [slice(block * BLOCK, block * BLOCK + int(complete[block])) for block in np.flatnonzero(complete)]
+        with replacing(path) as file:
+            for name, value in old.file.attrs.items():
+                file.attrs[name] = value
+            for name in old.file:
+                if name not in ("samples", "complete"):
+                    old.file.copy(name, file)
+            group = file.create_group("samples")
+            for name, data in old.file["samples"].items():
+                rows = min(len(data), len(complete) * BLOCK)
+                copy = group.create_dataset_like(name, data, shape=(rows, *data.shape[1:]))
+                for key, value in data.attrs.items():
+                    copy.attrs[key] = value
+                for rows_of_block in good:
+                    copy[rows_of_block] = data[rows_of_block]
+            new = file.create_dataset_like("complete", old.file["complete"], shape=complete.shape)
+            new[:] = complete
 
 
-def _named(simulator: FractureSimulator) -> dict[str, Any]:
-    """What a header can say of a simulator of the user's own."""
-    return {"name": "own", "class": type(simulator).__name__}
+def _class_of(dataset: Dataset) -> str:
+    """Name the simulator of a dataset as well as its header can."""
+    made_by = dataset.header["simulator"]
+    return str(made_by.get("class", made_by["name"]))
 
 
-def _same(there: Dataset, surface: Surface, seed: int, made_by: dict[str, Any]) -> None:
-    wrong = []
+def _check_same(there: Dataset, surface: Surface, seed: int, made_by: dict[str, Any]) -> None:
+    """Refuse to go on with a file that was made of something else, or by other rules."""
+    differences = []
     if not (
         np.array_equal(there.surface.vertices, surface.vertices) and np.array_equal(there.surface.faces, surface.faces)
     ):
-        wrong.append("another surface")
+        differences.append("another surface")
     if there.seed != seed:
-        wrong.append(f"seed {there.seed}")
-    found = there.header["simulator"]
-    wrong += [f"{key} {found[key]}" for key in found if found[key] != made_by.get(key)]
-    if wrong:
-        raise DatasetError(f"{there.path}: was made from {', '.join(wrong)}; ask for the same, or name a new file")
+        differences.append(f"seed {there.seed}")
+    before = there.header["simulator"]
+    differences += [f"{key} {before[key]}" for key in before if before[key] != made_by.get(key)]
+    if differences:
+        raise DatasetError(
+            f"{there.path}: was made from {', '.join(differences)}; ask for the same, or name a new file"
+        )
     if there.header["sampling"] != sampling_rules():
-        made = there.header.get("fracsim")
-        raise DatasetError(f"{there.path}: was drawn by the rules of fracsim {made}; name a new file")
-
-
-def _put(group: h5py.Group, name: str, values: npt.NDArray[Any]) -> None:
-    if values.size:
-        group.create_dataset(name, data=values, chunks=True, compression="gzip", shuffle=True, fletcher32=True)
-    else:
-        group.create_dataset(name, data=values)
-
-
-def _save_solid(group: h5py.Group, solid: Solid) -> None:
-    for field in fields(Solid):
-        values = getattr(solid, field.name)
-        _put(group, field.name, values.astype(np.int32) if np.issubdtype(values.dtype, np.integer) else values)
+        version = there.header.get("fracsim")
+        raise DatasetError(f"{there.path}: was drawn by the rules of fracsim {version}; name a new file")

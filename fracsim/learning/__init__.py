@@ -1,0 +1,87 @@
+"""Models that learn how a body breaks: the registry of their classes. Offline only.
+
+A model is one file in this folder and one line in MODELS. ``register_model`` adds a class of the user's own, which
+then goes through ``fracsim train``, ``tune`` and ``evaluate`` by its name.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+from ..common.errors import ModelError
+
+if TYPE_CHECKING:
+    from .model import Model
+
+# A class, or "module:Class" where the module is imported when the model is first used.
+MODELS: dict[str, str | type[Model]] = {
+    "mlp": "fracsim.learning.mlp:MLP",
+    "deltaconv": "fracsim.learning.deltaconv:DeltaConv",
+    "field": "fracsim.learning.field:FieldModel",
+    "interfaces": "fracsim.learning.interfaces:InterfaceModel",
+    "shared": "fracsim.learning.shared:SharedField",
+    "nearest": "fracsim.learning.nearest:Nearest",
+}
+# What is looked up in every class; ``model.Model`` says what each is, and has defaults for most.
+REQUIRED = (
+    *("kind", "options_type", "search_space", "cost", "slow", "fits_many"),
+    *("fit", "predict", "predict_labels", "predict_nodes", "state", "restore"),
+)
+
+
+def register_model(name: str, cls: type[Model] | str) -> None:
+    """Add a model, so that commands and plans know it by its name.
+
+    Parameters
+    ----------
+    name : str
+        The name that ``fracsim train --model`` takes; the class's ``kind``.
+    cls : type or str
+        The class, see ``fracsim.learning.model.Model``; or "module:Class", imported when it is first used.
+
+    Raises
+    ------
+    ModelError
+        Where the name is taken or is not the class's kind, or the class lacks what is looked up in a model.
+    """
+    if name in MODELS and MODELS[name] is not cls:
+        raise ModelError(f"there is a model {name!r} already; choose another name")
+    if not isinstance(cls, str):
+        missing = [attribute for attribute in REQUIRED if not hasattr(cls, attribute)]
+        if missing:
+            raise ModelError(
+                f"{cls.__name__}: lacks {', '.join(missing)}; "
+                "inherit from fracsim.learning.model.Model, which has the defaults"
+            )
+        if cls.kind != name:
+            raise ModelError(f"{cls.__name__}: its kind is {cls.kind!r}, so it cannot be registered as {name!r}")
+    MODELS[name] = cls
+
+
+def model_class(name: str) -> type[Model]:
+    """Find the class of a model; its module is imported now.
+
+    Parameters
+    ----------
+    name : str
+        A name in MODELS.
+
+    Returns
+    -------
+    type
+        The class, see ``fracsim.learning.model.Model``.
+
+    Raises
+    ------
+    ModelError
+        Where no model has that name.
+    """
+    if name not in MODELS:
+        raise ModelError(f"unknown model {name!r}; use one of {', '.join(MODELS)}")
+    entry = MODELS[name]
+    if isinstance(entry, str):
+        module, _, attribute = entry.partition(":")
+        cls: type[Model] = getattr(importlib.import_module(module), attribute)
+        return cls
+    return entry

@@ -10,7 +10,8 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -21,12 +22,15 @@ from scipy.spatial import cKDTree
 from ..common.arrays import Float32Array, FloatArray, IntArray
 from ..common.errors import MissingExtraError, ModelError
 from ..data.samples import Samples
+from ..geometry.frames import tangent_basis
 from ..metrics import amae
 from ..simulators.base import Impacts
 from ..solids.geodesics import CAP
 from ..solids.surface import Surface
 from .body import BodyGeometry
-from .options import TrainingOptions
+from .model import Model, read_numbers
+from .options import TrainingOptions, with_training
+from .search import Range
 from .targets import Targets, amae_loss
 from .trainer import Run, train
 from .whole_field import ImpulseInputs, check_sizes, load_weights, start_network
@@ -37,8 +41,8 @@ except ImportError as error:
     raise MissingExtraError("torch", "train") from error
 
 
-CHUNK = 4  # impulses that are asked about together
-VALIDATED = 60  # impulses
+IMPULSE_CHUNK = 4  # impulses that are asked about together
+VALIDATION_IMPULSES = 60  # a whole mesh each, so few of them
 REGULARISER = 1e-3  # of the least squares, against the mean square of a neighbourhood's extent
 HEAD = (256, 256, 128)  # widths, of the segmentation head that the thesis keeps
 
@@ -87,10 +91,7 @@ class Calculus:
 def tangent_frames(surface: Surface) -> FloatArray:
     """(V, 2, 3) two unit vectors at each vertex, at right angles to its normal and to each other."""
     normals = np.asarray(surface.trimesh.vertex_normals)
-    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(helper, normals)
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, np.cross(normals, first)], axis=1)
+    return -np.stack(tangent_basis(normals), axis=1)  # the sign that trained models know
 
 
 def calculus(vertices: FloatArray, frames: FloatArray, neighbours: int, kernel: float) -> Calculus:
@@ -206,7 +207,7 @@ def _csr(matrix: sp.spmatrix, device: torch.device) -> torch.Tensor:
         ).to(device)
 
 
-class _Scalars(torch.nn.Module):
+class ScalarLayers(torch.nn.Module):
     """Linear layers with batch normalisation and ReLU, on (..., C)."""
 
     def __init__(self, *widths: int) -> None:
@@ -221,7 +222,7 @@ class _Scalars(torch.nn.Module):
         return x
 
 
-class _Vectors(torch.nn.Module):
+class VectorLayers(torch.nn.Module):
     """The same on tangent vectors (V, 2, B, C), blind to the choice of frames: each layer mixes vectors and vectors
     turned by 90 degrees, and acts on their lengths alone."""
 
@@ -249,16 +250,16 @@ class _Convolution(torch.nn.Module):
 
     def __init__(self, inputs: int, vectors: int, width: int, depth: int) -> None:
         super().__init__()
-        self.vectors = _Vectors(2 * vectors + inputs, *[width] * depth)
-        self.scalars = _Scalars(inputs + 3 * width, *[width] * depth)
-        self.around = _Scalars(inputs, *[width] * depth)
+        self.vectors = VectorLayers(2 * vectors + inputs, *[width] * depth)
+        self.scalars = ScalarLayers(inputs + 3 * width, *[width] * depth)
+        self.around = ScalarLayers(inputs, *[width] * depth)
 
     def forward(self, x: torch.Tensor, u: torch.Tensor, on: Operators) -> tuple[torch.Tensor, torch.Tensor]:
         swirl = on.hodge_laplacian(on.divergence(u), on.curl(u))
         u = self.vectors(torch.cat([u, on.gradient(x), swirl], dim=-1))
         length = ((u**2).sum(dim=1) + 1e-12).sqrt()
-        own = self.scalars(torch.cat([x, on.divergence(u), on.curl(u), length], dim=-1))
-        return own + on.largest(self.around(x)), u
+        here = self.scalars(torch.cat([x, on.divergence(u), on.curl(u), length], dim=-1))
+        return here + on.largest(self.around(x)), u
 
 
 class DeltaNet(torch.nn.Module):
@@ -272,11 +273,11 @@ class DeltaNet(torch.nn.Module):
             _Convolution(width if k else inputs, width if k else inputs, width, options.depth)
             for k in range(options.layers)
         )
-        self.embed = _Scalars(total, options.embedding)
+        self.embed = ScalarLayers(total, options.embedding)
         self.from_all = torch.nn.Linear(options.embedding, HEAD[0], bias=False)
         self.from_each = torch.nn.Linear(total, HEAD[0], bias=False)
         self.norm = torch.nn.BatchNorm1d(HEAD[0])
-        self.second = _Scalars(*HEAD[:2])
+        self.second = ScalarLayers(*HEAD[:2])
         self.third = torch.nn.Linear(*HEAD[1:])
         self.last = torch.nn.Linear(HEAD[2], 1)
         self.dropout = torch.nn.Dropout(options.dropout)
@@ -297,11 +298,21 @@ class DeltaNet(torch.nn.Module):
             return self.last(x.float())[..., 0]
 
 
-class DeltaConv:
+class DeltaConv(Model):
     """Coordinates and the impulse at every vertex in, the field out. Its answers hold for one mesh."""
 
     kind: ClassVar[str] = "deltaconv"
     options_type: ClassVar[type[DeltaConvOptions]] = DeltaConvOptions
+    # Thesis, Table 5.5.
+    search_space: ClassVar[Mapping[str, Range]] = {
+        "layers": Range(1, 6),
+        "width": Range(64, 1024),
+        "depth": Range(1, 3),
+        "embedding": Range(64, 2048),
+        "neighbours": Range(2, 30),
+        "kernel": Range(1.0, 3.0),
+    }
+    slow: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -322,9 +333,9 @@ class DeltaConv:
     def fit(
         cls, body: BodyGeometry, samples: Samples, options: DeltaConvOptions, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
-        device, parts, inputs = start_network(body, samples, options, seed)
+        device, splits, inputs = start_network(body, samples, options, seed)
         model = cls(body, DeltaNet(3 + inputs.count, options).to(device), inputs, options)
-        return model, train(_Meshes(model, *parts, device), options.training, seed, run)
+        return model, train(MeshLearner(model, *splits, device), options.training, seed, run)
 
     def field(self, impulses: torch.Tensor) -> torch.Tensor:
         """(B, 6 or 7) inputs to (B, V), as the network says it."""
@@ -340,8 +351,8 @@ class DeltaConv:
         training = self.net.training
         self.net.eval()
         with torch.inference_mode():
-            for start in range(0, len(result), CHUNK):
-                stop = start + CHUNK
+            for start in range(0, len(result), IMPULSE_CHUNK):
+                stop = start + IMPULSE_CHUNK
                 result[start:stop] = self.field(impulses[start:stop]).clamp(0.0, CAP).cpu().numpy()
         self.net.train(training)
         return result
@@ -353,17 +364,17 @@ class DeltaConv:
         return arrays, {"inputs": asdict(self.inputs), "options": options, "vertices": len(self.where)}
 
     @classmethod
-    def restore(cls, body: BodyGeometry, arrays: dict[str, npt.NDArray[Any]], numbers: dict[str, Any]) -> Self:
+    def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
         if numbers["vertices"] != len(body.vertices):
-            raise ValueError(f"it is of {numbers['vertices']} vertices, the body has {len(body.vertices)}")
-        inputs = ImpulseInputs(**numbers["inputs"])
-        options = replace(DeltaConvOptions(), **numbers["options"])
+            raise ModelError(f"it is of {numbers['vertices']} vertices, the body has {len(body.vertices)}")
+        inputs = read_numbers(ImpulseInputs, numbers["inputs"])
+        options = with_training(DeltaConvOptions(), numbers["options"])
         net = DeltaNet(3 + inputs.count, options)
         load_weights(net, arrays)
         return cls(body, net, inputs, options)
 
 
-class _Meshes:
+class MeshLearner:
     """Training rows are samples: the whole mesh under one impulse each."""
 
     def __init__(self, model: DeltaConv, samples: Samples, validation: Samples, device: torch.device) -> None:
@@ -371,7 +382,7 @@ class _Meshes:
         self.count = len(samples)
         self.impulses = torch.as_tensor(model.inputs(model.body, samples.impacts), device=device)
         self.targets = Targets(model.body, samples.labels, device)
-        self.held_out = validation.take(slice(VALIDATED))
+        self.held_out = validation.take(slice(VALIDATION_IMPULSES))
         self.truth = model.body.fields(self.held_out.labels)
 
     def groups(self, rate: float) -> list[dict[str, Any]]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -19,7 +19,9 @@ from ..simulators.base import Impacts, merge_small_pieces_each
 from ..solids.geodesics import CAP
 from ..solids.spectrum import Spectrum
 from .body import BodyGeometry
+from .model import Model
 from .options import TrainingOptions
+from .search import Range
 from .trainer import Run, device_for, train
 
 try:
@@ -28,8 +30,9 @@ except ImportError as error:
     raise MissingExtraError("torch", "train") from error
 
 
+VALIDATION_CHUNK = 2048  # samples whose loss is taken at once, for memory
 LEVELS = (0.3, 0.4, 0.5, 0.6, 0.7)  # break scores among which validation chooses what counts as a crack
-JUDGED = 1000  # validation samples by which it does
+JUDGED = 1000  # validation samples, at most, that the choice looks at
 
 
 @dataclass(frozen=True)
@@ -114,8 +117,8 @@ class FieldNetwork(torch.nn.Module):
         moved = directions[:, :, None] * response[:, None, : self.atoms]
         opening = x.new_zeros(batch, 3, self.atoms).index_add(0, row, moved) @ self.incidence  # (B, 3, I)
         if self.outputs > self.atoms:
-            own = response[:, self.atoms :].reshape(len(x), 3, 3, -1)
-            turned = (own * directions[:, None, :, None]).sum(dim=2)
+            matrices = response[:, self.atoms :].reshape(len(x), 3, 3, -1)
+            turned = (matrices * directions[:, None, :, None]).sum(dim=2)
             opening = opening.index_add(0, row, turned)
         normal = (opening * self.normals).sum(dim=1)
         tangent = torch.relu((opening**2).sum(dim=1) - normal**2)
@@ -124,24 +127,24 @@ class FieldNetwork(torch.nn.Module):
         )
         return self.slope * (torch.log(squared + FLOOR) + 2.0 * self.log_gain) + self.offset
 
-    def parts(self) -> tuple[list[torch.nn.Parameter], list[torch.nn.Parameter]]:
+    def split_parameters(self) -> tuple[list[torch.nn.Parameter], list[torch.nn.Parameter]]:
         """The few numbers of the prior and the rule, and the free weights."""
-        few = [self.log_filter, self.log_gain, self.slope, self.offset, self.log_push, self.log_shear]
-        return few, [p for p in self.parameters() if all(p is not f for f in few)]
+        shared = [self.log_filter, self.log_gain, self.slope, self.offset, self.log_push, self.log_shear]
+        return shared, [p for p in self.parameters() if all(p is not q for q in shared)]
 
 
 class ContactPatches:
     """Samples as flat lists of the contacts that are there, most samples having one of the most possible."""
 
     def __init__(self, samples: Samples, coordinates: FloatArray, faces: IntArray) -> None:
-        there = samples.severities > 0
-        row, slot = np.nonzero(there)
+        active = samples.severities > 0
+        row, slot = np.nonzero(active)
         self.corners = torch.as_tensor(faces[samples.faces[row, slot]])
         self.barycentric = torch.as_tensor(samples.barycentric[row, slot], dtype=torch.float32)
         self.coordinates = torch.as_tensor(coordinates, dtype=torch.float32)
         self.directions = torch.as_tensor(samples.directions[row, slot], dtype=torch.float32)
         self.severities = torch.as_tensor(samples.severities[row, slot], dtype=torch.float32)
-        self.count = torch.as_tensor(there.sum(axis=1))
+        self.count = torch.as_tensor(active.sum(axis=1))
         self.start = torch.cumsum(self.count, 0) - self.count
         self.broken = torch.as_tensor(samples.broken)
 
@@ -177,10 +180,10 @@ class FieldLearner:
         self.count = len(self.training.count)
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
-        few, free = self.module.parts()
+        shared, free = self.module.split_parameters()
         return [
             {"params": free, "lr": rate, "weight_decay": self.options.training.decay},
-            {"params": few, "lr": rate * self.options.filter_rate, "weight_decay": 0.0},
+            {"params": shared, "lr": rate * self.options.filter_rate, "weight_decay": 0.0},
         ]
 
     def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
@@ -188,17 +191,22 @@ class FieldLearner:
 
     def validate(self) -> float:
         with torch.no_grad():
-            rows = torch.split(torch.arange(len(self.validation.count)), 2048)
+            rows = torch.split(torch.arange(len(self.validation.count)), VALIDATION_CHUNK)
             total = sum(float(self.validation.loss(self.module, chunk)) * len(chunk) for chunk in rows)
         return total / len(self.validation.count)
 
 
 @dataclass(frozen=True, eq=False)
-class FieldModel:
+class FieldModel(Model):
     """The default model of a body: its break scores, the single linkage over them, and the field that follows."""
 
     kind: ClassVar[str] = "field"
     options_type: ClassVar[type] = FieldOptions
+    search_space: ClassVar[Mapping[str, Range]] = {
+        "width": Range(32, 512, log=True),
+        "eigenfunctions": Range(24, 192, log=True),
+        "rate": Range(3e-4, 1e-2, log=True),
+    }
     body: BodyGeometry
     net: FieldWeights
 
@@ -221,24 +229,24 @@ class FieldModel:
         figures = train(learner, options.training, seed, run)
         net = frozen(learner.module, body, geometry, float(samples.of_split(0).severities.sum(axis=1).max()))
         model = cls(body, net)
-        level, score = model._best_level(samples.of_split(1))
+        level, score = model.best_level(samples.of_split(1))
         figures |= {"level": level, "validation_ari": score}
         return replace(model, net=replace(net, level=np.array([level], dtype=np.float32))), figures
 
-    def _best_level(self, validation: Samples) -> tuple[float, float]:
+    def best_level(self, validation: Samples) -> tuple[float, float]:
         rows = np.flatnonzero(validation.labels.any(axis=1))[:JUDGED]
         if not len(rows):
             return 0.5, float("nan")
         held_out = validation.take(rows)
         scores = self.break_scores(held_out.impacts)
         truth = held_out.labels[:, self.body.vertex_atom]
-        best, most = 0.5, -np.inf
+        best, best_score = 0.5, -np.inf
         for level in LEVELS:
             labels = self._labels(scores, level)[:, self.body.vertex_atom]
             score = float(np.mean([ari(a, b) for a, b in zip(truth, labels, strict=True)]))
-            if score > most:
-                best, most = level, score
-        return best, most
+            if score > best_score:
+                best, best_score = level, score
+        return best, best_score
 
     def break_scores(self, impacts: Impacts) -> FloatArray:
         """(N, I)"""
@@ -261,10 +269,10 @@ class FieldModel:
         return dict(vars(self.net)), {}
 
     @classmethod
-    def restore(cls, body: BodyGeometry, arrays: dict[str, npt.NDArray[Any]], numbers: dict[str, Any]) -> Self:
-        net = FieldWeights(**arrays)
+    def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
+        net = FieldWeights(**{field.name: arrays[field.name] for field in fields(FieldWeights)})
         if len(net.coordinates) != len(body.vertices) or len(net.normals) != len(body.interfaces):
-            raise ValueError("it is of another body")
+            raise ModelError("it is of another body")
         return cls(body, net)
 
     def _labels(self, scores: FloatArray, level: float) -> IntArray:
@@ -281,12 +289,12 @@ class FieldModel:
 def located(body: BodyGeometry, impacts: Impacts) -> Iterator[tuple[IntArray, FloatArray, FloatArray, FloatArray]]:
     """The arguments of FieldModel.scores, impact by impact."""
     for k in range(len(impacts)):
-        there = np.flatnonzero(impacts.severities[k])
+        active = np.flatnonzero(impacts.severities[k])
         yield (
-            body.faces[impacts.faces[k, there]],
-            impacts.barycentric[k, there],
-            impacts.directions[k, there],
-            impacts.severities[k, there],
+            body.faces[impacts.faces[k, active]],
+            impacts.barycentric[k, active],
+            impacts.directions[k, active],
+            impacts.severities[k, active],
         )
 
 
@@ -300,15 +308,15 @@ def frozen(net: FieldNetwork, body: BodyGeometry, geometry: Spectrum, severity: 
     for k, layer in enumerate((net.first, net.second, net.last)):
         weights[f"weights_{k}"] = array(layer.weight.T)
         weights[f"biases_{k}"] = array(layer.bias)
-    one = torch.ones(len(body.interfaces), device=net.slope.device)
+    ones = torch.ones(len(body.interfaces), device=net.slope.device)
     return FieldWeights(
         coordinates=geometry.coordinates.astype(np.float32),
         skip=array(net.skip()),
         **weights,
-        slope=array(net.slope * one),
+        slope=array(net.slope * ones),
         offset=array(net.offset + 2.0 * net.slope * net.log_gain),
-        push=array(net.log_push.exp() * one),
-        shear=array(net.log_shear.exp() * one),
+        push=array(net.log_push.exp() * ones),
+        shear=array(net.log_shear.exp() * ones),
         normals=body.interfaces.normals.astype(np.float32),
         severity=np.array([severity], dtype=np.float32),
         level=np.array([0.5], dtype=np.float32),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar, Self
 
@@ -16,10 +17,12 @@ from ..metrics import amae
 from ..simulators.base import Impacts
 from ..solids.geodesics import CAP
 from .body import BodyGeometry
+from .model import Model, read_numbers
 from .options import TrainingOptions
+from .search import Range
 from .targets import Targets, amae_loss
 from .trainer import Run, train
-from .whole_field import CHUNK, VALIDATED, ImpulseInputs, check_sizes, load_weights, start_network
+from .whole_field import POINT_CHUNK, VALIDATION_IMPULSES, ImpulseInputs, check_sizes, load_weights, start_network
 
 try:
     import torch
@@ -28,6 +31,7 @@ except ImportError as error:
 
 
 POINTS = ("vertices", "surface")
+VALIDATION_VERTICES = 64  # of each validation impulse: enough for a mean over 200 impulses
 
 
 @dataclass(frozen=True)
@@ -67,11 +71,14 @@ class Perceptron(torch.nn.Module):
             return self.last(x.float())[:, 0]
 
 
-class MLP:
+class MLP(Model):
     """A vertex's coordinates and the impulse in, the vertex's distance out."""
 
     kind: ClassVar[str] = "mlp"
     options_type: ClassVar[type[MLPOptions]] = MLPOptions
+    # Thesis, section 5.2.1.
+    search_space: ClassVar[Mapping[str, Range]] = {"width": Range(32, 1024), "layers": Range(1, 20)}
+    slow: ClassVar[bool] = True
 
     def __init__(self, body: BodyGeometry, net: Perceptron, inputs: ImpulseInputs, options: MLPOptions) -> None:
         self.body, self.net, self.inputs, self.options = body, net, inputs, options
@@ -80,10 +87,10 @@ class MLP:
     def fit(
         cls, body: BodyGeometry, samples: Samples, options: MLPOptions, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
-        device, parts, inputs = start_network(body, samples, options, seed)
+        device, splits, inputs = start_network(body, samples, options, seed)
         net = Perceptron(3 + inputs.count, options.width, options.layers).to(device)
         model = cls(body, net, inputs, options)
-        return model, train(_Points(model, *parts, device), options.training, seed, run)
+        return model, train(PointLearner(model, *splits, device), options.training, seed, run)
 
     def on(self, body: BodyGeometry) -> Self:
         """The same network asked about another mesh of the same shape."""
@@ -102,8 +109,8 @@ class MLP:
         impulses = torch.as_tensor(self.inputs(self.body, impacts), device=device)
         result = np.empty(len(impacts) * len(points), dtype=np.float32)
         with torch.inference_mode():
-            for start in range(0, len(result), CHUNK):
-                pair = torch.arange(start, min(start + CHUNK, len(result)), device=device)
+            for start in range(0, len(result), POINT_CHUNK):
+                pair = torch.arange(start, min(start + POINT_CHUNK, len(result)), device=device)
                 row = torch.div(pair, len(points), rounding_mode="floor")
                 x = torch.cat([where[pair - row * len(points)], impulses[row]], dim=1)
                 result[start : start + len(pair)] = self.net(x).clamp(0.0, CAP).cpu().numpy()
@@ -114,15 +121,15 @@ class MLP:
         return arrays, {"inputs": asdict(self.inputs), "width": self.options.width, "layers": self.options.layers}
 
     @classmethod
-    def restore(cls, body: BodyGeometry, arrays: dict[str, npt.NDArray[Any]], numbers: dict[str, Any]) -> Self:
-        inputs = ImpulseInputs(**numbers["inputs"])
+    def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
+        inputs = read_numbers(ImpulseInputs, numbers["inputs"])
         options = replace(MLPOptions(), width=numbers["width"], layers=numbers["layers"], severity=inputs.severity)
         net = Perceptron(3 + inputs.count, options.width, options.layers)
         load_weights(net, arrays)
         return cls(body, net, inputs, options)
 
 
-class _Points:
+class PointLearner:
     """Training rows are pairs of a sample and a vertex, or as many points anywhere on the surface.
 
     A field bends at a crack, so between vertices it is read from the quarter triangle around the point: linear
@@ -142,9 +149,9 @@ class _Points:
         share = SurfacePoints(body.vertices, body.faces).share
         self.below = torch.as_tensor(np.cumsum(share))
         self.quarters = torch.as_tensor(fine.reshape(-1, 4, 3))  # (F, 4, 3): at the corners, and the middle one
-        held_out = validation.take(slice(VALIDATED))
+        held_out = validation.take(slice(VALIDATION_IMPULSES))
         rng = np.random.default_rng(0)
-        self.asked = rng.integers(0, self.vertices, (len(held_out), min(64, self.vertices)))
+        self.asked = rng.integers(0, self.vertices, (len(held_out), min(VALIDATION_VERTICES, self.vertices)))
         self.held_out = torch.as_tensor(model.inputs(body, held_out.impacts), device=device)
         self.truth = np.take_along_axis(body.fields(held_out.labels), self.asked, axis=1)
 
@@ -154,7 +161,7 @@ class _Points:
     def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         sample = torch.div(rows, self.vertices, rounding_mode="floor")
         if self.anywhere:
-            node, weight = self._draw(len(rows), generator)
+            node, weight = self.draw(len(rows), generator)
         else:
             node, weight = (rows - sample * self.vertices)[:, None], torch.ones(len(rows), 1)
         sample, node, weight = sample.to(self.device), node.to(self.device), weight.to(self.device)
@@ -163,14 +170,14 @@ class _Points:
         predicted = self.module(torch.cat([where, self.impulses[sample]], dim=1))
         return amae_loss(predicted, truth, self.model.options.filled)
 
-    def _draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+    def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
         """Points uniform over the area: the nodes (B, 3) around each, and its barycentric coordinates (B, 3) there."""
         u = torch.rand(count, 3, generator=generator)
         face = torch.searchsorted(self.below, u[:, 0].double()).clamp(max=len(self.below) - 1)
         root = u[:, 1].sqrt()
         bary = torch.stack([1 - root, root * (1 - u[:, 2]), root * u[:, 2]], dim=1)
-        most, corner = bary.max(dim=1)
-        outer = most > 0.5
+        largest, corner = bary.max(dim=1)
+        outer = largest > 0.5
         # A quarter is half as wide: beside a corner coordinates double; the middle one is upside down, its nodes
         # x, y and z lying across from c, a and b.
         inner = 1 - 2 * bary[:, [2, 0, 1]]
@@ -182,7 +189,7 @@ class _Points:
         )
 
     def validate(self) -> float:
-        where = self.nodes[torch.as_tensor(self.asked, device=self.device)]  # (N, 64, 3)
+        where = self.nodes[torch.as_tensor(self.asked, device=self.device)]  # (N, P, 3)
         predicted = [
             self.module(torch.cat([points, impulse.expand(len(points), -1)], dim=1)).clamp(0.0, CAP).cpu().numpy()
             for points, impulse in zip(where, self.held_out, strict=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -20,6 +21,8 @@ from ..data.samples import Samples
 from ..metrics import ari
 from ..simulators.base import Impacts
 from .body import BodyGeometry
+from .model import Model
+from .search import Range
 from .whole_field import resultant
 
 if TYPE_CHECKING:
@@ -45,12 +48,16 @@ class NearestOptions:
                 raise ModelError(f"{name} must be finite and at least 0, got {value}")
 
 
-class Nearest:
+class Nearest(Model):
     """keys: (M, 7) float32, ``resultant`` of the training impulses. fractures: (U, A), the different labels of atoms
     among them, and fracture: (M,), which of these each left."""
 
     kind: ClassVar[str] = "nearest"
     options_type: ClassVar[type[NearestOptions]] = NearestOptions
+    search_space: ClassVar[Mapping[str, Range]] = {
+        "position": Range(0.5, 30.0, log=True),
+        "severity": Range(0.05, 5.0, log=True),
+    }
 
     def __init__(
         self, body: BodyGeometry, keys: Float32Array, fractures: IntArray, fracture: IntArray, options: NearestOptions
@@ -118,8 +125,8 @@ class Nearest:
         return arrays, {"position": self.options.position, "severity": self.options.severity}
 
     @classmethod
-    def restore(cls, body: BodyGeometry, arrays: dict[str, npt.NDArray[Any]], numbers: dict[str, Any]) -> Self:
+    def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
         fractures, fracture = (arrays[name].astype(np.int64) for name in ("fractures", "fracture"))
         if fractures.shape[1:] != (len(body.volumes),):
-            raise ValueError(f"its fractures are of {fractures.shape[1:]} atoms, the body has {len(body.volumes)}")
+            raise ModelError(f"its fractures are of {fractures.shape[1:]} atoms, the body has {len(body.volumes)}")
         return cls(body, arrays["keys"], fractures, fracture, NearestOptions(numbers["position"], numbers["severity"]))

@@ -6,7 +6,7 @@ between its atoms), so a body that it never saw needs a solid and its atoms, but
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
@@ -20,6 +20,7 @@ from ..solids.spectrum import Spectrum
 from .body import BodyGeometry
 from .field import ContactPatches, FieldModel, FieldNetwork, FieldOptions, frozen
 from .options import TrainingOptions
+from .search import Range
 from .trainer import Run, train
 
 try:
@@ -110,15 +111,15 @@ class _SharedLearner:
     def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         total = torch.zeros(())
         for part, low, high in zip(self.parts, self.ends[:-1], self.ends[1:], strict=True):
-            own = rows[(rows >= low) & (rows < high)] - low
-            if len(own):
-                total = total + part.contacts[0].loss(part, own) * len(own)
+            mine = rows[(rows >= low) & (rows < high)] - low
+            if len(mine):
+                total = total + part.contacts[0].loss(part, mine) * len(mine)
         return total / len(rows)
 
     def validate(self) -> float:
         with torch.no_grad():
             losses = [
-                float(p.contacts[1].loss(p, torch.arange(min(2048, len(p.contacts[1].count))))) for p in self.parts
+                float(p.contacts[1].loss(p, torch.arange(min(VALIDATED, len(p.contacts[1].count))))) for p in self.parts
             ]
         return float(np.mean(losses))
 
@@ -129,7 +130,13 @@ class SharedField(FieldModel):
 
     kind: ClassVar[str] = "shared"
     options_type: ClassVar[type] = SharedOptions
-    numbers: dict[str, npt.NDArray[np.float32]]
+    search_space: ClassVar[Mapping[str, Range]] = {
+        "knots": Range(4, 32),
+        "eigenfunctions": Range(24, 192, log=True),
+        "rate": Range(3e-3, 1e-1, log=True),
+    }
+    fits_many: ClassVar[bool] = True
+    numbers: Mapping[str, npt.NDArray[np.float32]]
     options: SharedOptions
 
     @classmethod
@@ -168,7 +175,7 @@ class SharedField(FieldModel):
         return self._build(body, self.numbers, self.options)
 
     @classmethod
-    def _build(cls, body: BodyGeometry, numbers: dict[str, npt.NDArray[np.float32]], options: SharedOptions) -> Self:
+    def _build(cls, body: BodyGeometry, numbers: Mapping[str, npt.NDArray[np.float32]], options: SharedOptions) -> Self:
         shared = _SharedNet(len(options.radii), options.knots)
         shared.load_state_dict({n: torch.from_numpy(np.array(v)) for n, v in numbers.items() if n != "severity"})
         geometry = body.spectrum(options.eigenfunctions, options.radii)
@@ -179,10 +186,11 @@ class SharedField(FieldModel):
         return cls(body, frozen(net, body, geometry, float(numbers["severity"][0])), numbers, options)
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
-        told = {"knots": self.options.knots, "eigenfunctions": self.options.eigenfunctions}
-        return dict(self.numbers), {**told, "radii": list(self.options.radii)}
+        options = self.options
+        numbers = {"knots": options.knots, "eigenfunctions": options.eigenfunctions, "radii": list(options.radii)}
+        return dict(self.numbers), numbers
 
     @classmethod
-    def restore(cls, body: BodyGeometry, arrays: dict[str, npt.NDArray[Any]], numbers: dict[str, Any]) -> Self:
+    def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
         options = SharedOptions(int(numbers["knots"]), int(numbers["eigenfunctions"]), tuple(numbers["radii"]))
         return cls._build(body, arrays, options)

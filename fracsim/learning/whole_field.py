@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -23,8 +24,8 @@ try:
 except ImportError as error:
     raise MissingExtraError("torch", "train") from error
 
-CHUNK = 4096  # points that are asked about together: more is no faster on a CPU
-VALIDATED = 200  # impulses, and at how many vertices of each
+POINT_CHUNK = 4096  # points that are asked about together: more is no faster on a CPU
+VALIDATION_IMPULSES = 200  # whose fields are compared while the perceptron trains
 
 
 def start_network(
@@ -33,11 +34,11 @@ def start_network(
     """How fitting a network of whole fields begins: the device, training and validation samples, and the inputs that
     the former call for. Seeds torch."""
     torch.manual_seed(seed)
-    parts = samples.of_split(0), samples.of_split(1)
-    for part, name in zip(parts, ("training", "validation"), strict=True):
-        if not len(part):
+    splits = samples.of_split(0), samples.of_split(1)
+    for split, name in zip(splits, ("training", "validation"), strict=True):
+        if not len(split):
             raise ModelError(f"there are no {name} samples; make more with: fracsim dataset make")
-    return device_for(options.training), parts, ImpulseInputs.of(body, parts[0], options.severity)
+    return device_for(options.training), splits, ImpulseInputs.of(body, splits[0], options.severity)
 
 
 def check_sizes(options: Any, names: tuple[str, ...]) -> None:
@@ -80,11 +81,11 @@ class ImpulseInputs:
         return whole[:, : self.count].astype(np.float32)
 
 
-def load_weights(net: torch.nn.Module, arrays: dict[str, npt.NDArray[Any]]) -> None:
+def load_weights(net: torch.nn.Module, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     try:
         net.load_state_dict({name: torch.from_numpy(value.copy()) for name, value in arrays.items()})
     except RuntimeError as error:
-        raise ValueError(str(error)) from error
+        raise ModelError(str(error)) from error
     net.eval()
 
 

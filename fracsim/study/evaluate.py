@@ -27,8 +27,10 @@ from ..common.progress import Stages
 from ..data.dataset import Dataset
 from ..data.samples import Samples
 from ..data.writing import make_dataset
+from ..learning import MODELS, model_class
 from ..learning.body import BodyGeometry
-from ..learning.model import load_model, model_class, save_model
+from ..learning.model import Predictor, load_model, save_model
+from ..learning.options import training_of
 from ..learning.precomputed import PrecomputedModel
 from ..learning.trainer import Run
 from ..segmentation import METHODS, reference
@@ -38,7 +40,6 @@ from ..simulators.base import FractureSimulator, Impacts, merge_small_pieces_eac
 from ..solids.surface import Surface, read_surface, refine, split_faces
 from .plan import MeshPlan, ModelPlan, Plan, options_of
 
-SLOW = ("mlp", "deltaconv")  # models that are asked about fewer impulses
 BINS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 3.0, 5.0)  # of severity over threshold
 HEIGHTS = (0.002, 0.005, 0.01, 0.014, 0.02, 0.03, 0.05, 0.08)  # of passes between atoms, for validation to choose from
 SLACKS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08)  # of the passes over midpoints, likewise
@@ -112,7 +113,8 @@ def _result(plan: Plan, mesh: MeshPlan, model: ModelPlan, work: Path) -> Path:
 @dataclass(frozen=True)
 class Cut:
     """A segmentation: the row of a prediction to the labels of the vertices. parameter: its own. slow: whether it is
-    tried on few impulses. predicted: the prediction's times, where they are not those of the field at the vertices."""
+    tried on few impulses. predicted: the prediction's times, where they are not those of the field at the vertices.
+    """
 
     labels: Callable[[int], IntArray]
     parameter: float | None = None
@@ -138,14 +140,14 @@ class Bench:
     def measure(self, plan: ModelPlan) -> dict[str, Any]:
         """Train one model, where there is none of it yet, and judge it with every segmentation."""
         model, fit = self._model(plan)
-        few = self.mesh.slow if plan.kind in SLOW else self.mesh.tested
+        few = self.mesh.slow if plan.kind in MODELS and model_class(plan.kind).slow else self.mesh.tested
         breaking, mixed, judges = (s.take(slice(few)) for s in (self.breaking, self.mixed, self.judges))
         tick = self.stage.ticker(f"{self.mesh.name}: {plan.name}, prediction")
-        fields, spent = self._predict(plan, model, breaking, tick)
-        held_out, _ = self._predict(plan, model, judges)
+        fields, spent = self._predict(model, breaking, tick)
+        held_out, _ = self._predict(model, judges)
         errors, per_impulse = self._errors(breaking, fields)
         rows, shown = [], {}
-        for name, cut in self._segmenters(plan, model, fields, held_out, breaking, judges).items():
+        for name, cut in self._segmenters(model, fields, held_out, breaking, judges).items():
             tick = self.stage.ticker(f"{self.mesh.name}: {plan.name}, {name}")
             tried = min(self.mesh.slow if cut.slow else few, len(breaking))
             found, labels = [], []
@@ -165,7 +167,7 @@ class Bench:
                 **errors,
                 **_summary(found),
                 "predict_ms": _times(spent if cut.predicted is None else cut.predicted),
-                "breaks": self._breaks(plan, model, mixed, name, cut.parameter),
+                "breaks": self._breaks(model, mixed, name, cut.parameter),
             }
             if name == "watershed":
                 row["amae_and_bc"] = [[a, f["bc"]] for a, f in zip(per_impulse, found, strict=False)]
@@ -196,7 +198,7 @@ class Bench:
 
     # Models
 
-    def _model(self, plan: ModelPlan) -> tuple[Any, dict[str, Any]]:
+    def _model(self, plan: ModelPlan) -> tuple[Predictor | None, dict[str, Any]]:
         if plan.kind == "simulator":
             return None, {}
         if plan.kind == "precomputed":
@@ -207,14 +209,18 @@ class Bench:
             tick = self.stage.ticker(f"{self.mesh.name}: {plan.name}, training")
             kind = model_class(plan.kind)
             options = options_of(kind.options_type, plan)
-            trained = hasattr(options, "training")
-            run = Run(checkpoint=checkpoint if trained else None, resume=True, label=stem, progress=tick)
+            run = Run(
+                checkpoint=checkpoint if training_of(options) is not None else None,
+                resume=True,
+                label=stem,
+                progress=tick,
+            )
             begin = time.perf_counter()
             if plan.others:
                 others = [m for m in self.plan.meshes if m.file != self.mesh.file and m.splits == 0]
                 bodies = [dataset_of(self.plan, mesh, self.work, self.stage)[:2] for mesh in others]
-                given = [(body, _first(samples, plan.samples)) for body, samples in bodies]
-                model, figures = kind.fit_many(given, options, self.plan.seed, run)
+                learned = [(body, _first(samples, plan.samples)) for body, samples in bodies]
+                model, figures = kind.fit_many(learned, options, self.plan.seed, run)
                 model = model.on(self.body)
             else:
                 model, figures = kind.fit(self.body, _first(self.samples, plan.samples), options, self.plan.seed, run)
@@ -225,10 +231,10 @@ class Bench:
         return model, told["figures"]
 
     def _predict(
-        self, plan: ModelPlan, model: Any, samples: Samples, tick: Callable[[float], None] = lambda _: None
+        self, model: Predictor | None, samples: Samples, tick: Callable[[float], None] = lambda _: None
     ) -> tuple[Float32Array, list[float]]:
         """Fields (N, V), and the ms that each took, one impulse after the other as a simulation would ask."""
-        if plan.kind == "simulator":
+        if model is None:  # the simulator itself
             return self.body.fields(samples.labels), [0.0] * len(samples)
         return _one_by_one(model.predict, samples, tick)
 
@@ -236,8 +242,7 @@ class Bench:
 
     def _segmenters(
         self,
-        plan: ModelPlan,
-        model: Any,
+        model: Predictor | None,
         fields: Float32Array,
         held_out: Float32Array,
         breaking: Samples,
@@ -250,16 +255,16 @@ class Bench:
         )
         name = "watershed; threshold from validation"
         result[name] = Cut(partial(self._vertex_cut, "watershed", fields, threshold), threshold, True)
-        if plan.kind == "simulator":
+        if model is None:
             result["midpoints and links"] = self._passes_cut(self.body.fields(breaking.labels, nodes=True), 0.0)
-        elif hasattr(model, "predict_nodes"):
+        elif model.predict_nodes is not None:
             nodes, spent = _one_by_one(model.predict_nodes, breaking)
             seen = _one_by_one(model.predict_nodes, judges)[0]
             slack = self._chosen(judges, seen, SLACKS, lambda u, t: midpoint_segmentation(self.linked, u, t))
             result["midpoints and links"] = self._passes_cut(nodes, slack, spent)
         height = self._chosen(judges, held_out, HEIGHTS, self._atoms_cut)
         result["atoms"] = Cut(lambda k: self._atoms_cut(fields[k], height), height)
-        if hasattr(model, "predict_labels"):
+        if model is not None and model.predict_labels is not None:
             pieces, took = _one_by_one(model.predict_labels, breaking)
             result["none: labels"] = Cut(lambda k: pieces[k][self.body.vertex_atom], predicted=took)
         return result
@@ -304,13 +309,13 @@ class Bench:
         return spent
 
     def _breaks(
-        self, plan: ModelPlan, model: Any, mixed: Samples, segmentation: str, parameter: float | None
+        self, model: Predictor | None, mixed: Samples, segmentation: str, parameter: float | None
     ) -> dict[str, Any] | None:
         """Whether impulses as they come part the body at all, for the segmentations made for it."""
-        if segmentation == "none: labels":
+        if segmentation == "none: labels" and model is not None and model.predict_labels is not None:
             labels = model.predict_labels(mixed.impacts)
         elif segmentation == "atoms" and parameter is not None:
-            fields, _ = self._predict(plan, model, mixed)
+            fields, _ = self._predict(model, mixed)
             labels = np.array([self._atoms_cut(udf, parameter) for udf in fields])
         else:
             return None

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import ModelError
-from ..learning.model import MODELS
-from ..learning.options import TrainingOptions
+from ..learning import MODELS
+from ..learning.options import with_training
 from ..simulators.registry import SimulatorOptions
 
 UNLEARNED = ("simulator", "precomputed")
@@ -94,14 +94,8 @@ def read_plan(path: str | Path) -> Plan:
 
 def options_of(options_type: type[Any], plan: ModelPlan) -> Any:
     """The options that a plan names; a budget among its training replaces the model's own."""
+    options = {name: tuple(value) if isinstance(value, list) else value for name, value in plan.options.items()}
     try:
-        options = options_type(**{k: tuple(v) if isinstance(v, list) else v for k, v in plan.options.items()})
-        if plan.training:
-            budgets = dict.fromkeys(("epochs", "steps", "seconds"))
-            given = any(name in plan.training for name in budgets)
-            base: TrainingOptions = options.training
-            changed: dict[str, Any] = {**(budgets if given else {}), **plan.training}
-            options = replace(options, training=replace(base, **changed))
-    except (TypeError, AttributeError) as error:
+        return with_training(options_type(), {**options, **plan.training})
+    except (ModelError, TypeError) as error:  # a plan's values may be of any type
         raise ModelError(f"{plan.name}: {error}") from error
-    return options

@@ -194,7 +194,8 @@ def _trained(fits: list[Row]) -> str:
     for fit in fits:
         if "fit_seconds" in fit:
             steps = f"{fit['steps']:.0f}" if "steps" in fit else "–"
-            lines.append(f"| {fit['mesh']} | {fit['model']} | {fit['rows']:.0f} | {steps} | {fit['fit_seconds']:.0f} |")
+            rows = f"{fit['rows']:.0f}" if "rows" in fit else "–"
+            lines.append(f"| {fit['mesh']} | {fit['model']} | {rows} | {steps} | {fit['fit_seconds']:.0f} |")
     return "\n".join(lines)
 
 

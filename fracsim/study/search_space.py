@@ -1,83 +1,42 @@
-"""TODO study.search_space."""
+"""What a study of hyperparameters seeks: of which model, in which ranges, on which data. Tuning uses it."""
 
 from __future__ import annotations
 
 import json
-import math
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from ..common.errors import MissingExtraError, ModelError
+from ..common.errors import ModelError
 from ..data.samples import FOLDS
-
-try:
-    import optuna
-except ImportError as error:
-    raise MissingExtraError(str(error.name), "tune") from error
-
-
-@dataclass(frozen=True)
-class Range:
-    """Where an option is sought: whole numbers where both ends are. log: evenly by its logarithm."""
-
-    low: float
-    high: float
-    log: bool = False
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high):
-            raise ModelError(f"a range must be two finite numbers that do not fall, got {self.low} to {self.high}")
-        if self.log and self.low <= 0:
-            raise ModelError(f"a logarithmic range must be above 0, got {self.low}")
-
-    def suggest(self, trial: optuna.Trial, name: str) -> float:
-        if isinstance(self.low, int) and isinstance(self.high, int):
-            return trial.suggest_int(name, self.low, self.high, log=self.log)
-        return trial.suggest_float(name, self.low, self.high, log=self.log)
-
-    def narrowed(self, name: str, text: str) -> Range:
-        """The same with the ends that a text such as "32:128" says, or the single value of one such as "64"."""
-        low, _, high = text.partition(":")
-        whole = isinstance(self.low, int)
-        try:
-            first, last = (int(end) if whole else float(end) for end in (low, high or low))
-        except ValueError as error:
-            kind = "whole numbers" if whole else "numbers"
-            raise ModelError(f"--range {name} takes LOW:HIGH, {kind}, got {text!r}") from error
-        return Range(first, last, self.log)
-
-
-# Options by their names in a model's options or in its training's. MLP: thesis, section 5.2.1. DeltaConv: Table 5.5.
-_SCORES = {
-    "width": Range(32, 512, log=True),
-    "eigenfunctions": Range(24, 192, log=True),
-    "rate": Range(3e-4, 1e-2, log=True),
-}
-SPACES: dict[str, dict[str, Range]] = {
-    "mlp": {"width": Range(32, 1024), "layers": Range(1, 20)},
-    "deltaconv": {
-        "layers": Range(1, 6),
-        "width": Range(64, 1024),
-        "depth": Range(1, 3),
-        "embedding": Range(64, 2048),
-        "neighbours": Range(2, 30),
-        "kernel": Range(1.0, 3.0),
-    },
-    "field": _SCORES,
-    "interfaces": _SCORES,
-    "shared": {
-        "knots": Range(4, 32),
-        "eigenfunctions": Range(24, 192, log=True),
-        "rate": Range(3e-3, 1e-1, log=True),
-    },
-    "nearest": {"position": Range(0.5, 30.0, log=True), "severity": Range(0.05, 5.0, log=True)},
-}
+from ..learning import model_class
+from ..learning.options import with_training
+from ..learning.search import Range
 
 
 @dataclass(frozen=True)
 class Search:
-    """What is sought. kind: of model. options: its own, for all that is not sought. ranges: of what is. folds: how
-    many of the dataset's folds are held out in turn. seed: of the fits and of the search. source: the dataset's mark.
+    """A search: what is held fixed, and what is sought.
+
+    Attributes
+    ----------
+    kind : str
+        The model's name in ``learning.MODELS``.
+    options : options_type
+        The model's options, for all that is not sought.
+    ranges : dict of str to Range
+        What is sought, by the names of the options or of their training's.
+    folds : int
+        How many of the dataset's folds are held out in turn.
+    seed : int
+        Of the fits and of the search.
+    source : str
+        A mark of the dataset, so that no study mixes two.
+
+    Raises
+    ------
+    ModelError
+        Where folds or seed are out of range, or the model has no such option.
     """
 
     kind: str
@@ -94,27 +53,54 @@ class Search:
             raise ModelError(f"a seed must be at least 0, got {self.seed}")
         self.with_values({name: ends.low for name, ends in self.ranges.items()})
 
-    def with_values(self, values: dict[str, Any]) -> Any:
-        """The options with these instead; those that are none of the model's own are its training's."""
-        names = {field.name for field in fields(self.options)}
-        own = {name: value for name, value in values.items() if name in names}
-        rest = {name: value for name, value in values.items() if name not in names}
-        if rest:
-            if "training" not in names:
-                raise ModelError(f"{self.kind} has no option {', '.join(rest)}")
-            own["training"] = replace(self.options.training, **rest)
-        return replace(self.options, **own)
+    def with_values(self, values: Mapping[str, Any]) -> Any:
+        """Put values into the options.
+
+        Parameters
+        ----------
+        values : mapping of str to object
+            By the names of the model's options or of its training's.
+
+        Returns
+        -------
+        options_type
+            The options.
+
+        Raises
+        ------
+        ModelError
+            Where the model has no such option, or a value is out of range.
+        """
+        return with_training(self.options, values)
 
     def identity(self) -> dict[str, Any]:
-        """All that the figures of a trial depend on, beside the values that it tries."""
+        """Lay down all that a trial's figures depend on, except the values that it tries, as plain data."""
         return json.loads(json.dumps(asdict(self)))
 
 
-def search_space(kind: str, narrowed: dict[str, str] | None = None) -> dict[str, Range]:
-    """The ranges of a kind of model, some of them narrowed by texts such as "32:128"."""
-    if kind not in SPACES:
-        raise ModelError(f"nothing of model {kind!r} can be tuned; use one of {', '.join(SPACES)}")
-    ranges = dict(SPACES[kind])
+def search_space(kind: str, narrowed: Mapping[str, str] | None = None) -> dict[str, Range]:
+    """Find what is sought of a model.
+
+    Parameters
+    ----------
+    kind : str
+        The model's name.
+    narrowed : mapping of str to str, optional
+        Other ends for some of the ranges, as texts such as "32:128".
+
+    Returns
+    -------
+    dict of str to Range
+        The ranges of its class, narrowed.
+
+    Raises
+    ------
+    ModelError
+        Where the model is unknown or has nothing to seek, or a name or a text does not fit.
+    """
+    ranges = dict(model_class(kind).search_space)
+    if not ranges:
+        raise ModelError(f"model {kind!r} has no search space, so it cannot be tuned")
     for name, text in (narrowed or {}).items():
         if name not in ranges:
             raise ModelError(f"{name!r} is not sought; {kind} has {', '.join(ranges)}")

@@ -16,8 +16,9 @@ import numpy as np
 from .. import metrics
 from ..common.errors import FieldError, MissingExtraError, ModelError
 from ..data.samples import Samples
+from ..learning import model_class
 from ..learning.body import BodyGeometry
-from ..learning.model import model_class
+from ..learning.model import Predictor
 from ..learning.trainer import Run
 from ..segmentation import METHODS
 from ..segmentation.graph import SurfaceGraph
@@ -131,7 +132,7 @@ def _part(progress: Callable[[float], None], done: int, of: int) -> Callable[[fl
     return lambda share: progress((done + share) / of)
 
 
-def _errors(body: BodyGeometry, samples: Samples, model: Any) -> dict[str, float]:
+def _errors(body: BodyGeometry, samples: Samples, model: Predictor) -> dict[str, float]:
     total = {"amae": 0.0, "mse": 0.0}
     for start in range(0, len(samples), CHUNK):
         chunk = samples.take(slice(start, start + CHUNK))
@@ -141,7 +142,7 @@ def _errors(body: BodyGeometry, samples: Samples, model: Any) -> dict[str, float
     return {name: value / len(samples) for name, value in total.items()}
 
 
-def _segmented(body: BodyGeometry, samples: Samples, model: Any, graph: SurfaceGraph) -> dict[str, float]:
+def _segmented(body: BodyGeometry, samples: Samples, model: Predictor, graph: SurfaceGraph) -> dict[str, float]:
     parted = samples.take(np.flatnonzero(samples.labels.any(axis=1))[:PARTED])
     found: dict[str, list[float]] = {"bc": [], "rc": [], "ari": [], "ami": []}
     for k, udf in enumerate(model.predict(parted.impacts) if len(parted) else ()):
@@ -152,7 +153,7 @@ def _segmented(body: BodyGeometry, samples: Samples, model: Any, graph: SurfaceG
     return {name: float(np.mean(values)) for name, values in found.items() if values}
 
 
-def _times(model: Any, samples: Samples) -> list[float]:
+def _times(model: Predictor, samples: Samples) -> list[float]:
     """Seconds of each query, on one thread, for other workers may have the rest of the machine."""
     spent = []
     with threadpool_limits(1):

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..common.errors import MissingExtraError
 from ..common.files import write_beside
+from ..learning import model_class
 from .search_space import Search
 from .tune import LEAST
 from .view import as_png
@@ -27,7 +28,6 @@ except ImportError as error:
     raise MissingExtraError(str(error.name), "tune") from error
 
 
-WEIGHT = 3.0  # of AMAE's square against the square of the seconds, in the choice (thesis, Eq. 5.1)
 MEASURES = {
     "amae": "AMAE",
     "seconds": "time of a query",
@@ -42,11 +42,11 @@ MEASURES = {
 # What came of it
 
 
-def cost(trial: FrozenTrial) -> float:
+def cost(kind: str, trial: FrozenTrial) -> float:
     """sqrt(t² + 3 AMAE²) (thesis, Eq. 5.1), with t in seconds: in milliseconds, which the thesis prints beside it, it
     would choose the fastest whatever its error."""
     amae, seconds = trial.values
-    return math.sqrt(seconds**2 + WEIGHT * amae**2)
+    return model_class(kind).cost(amae, seconds)
 
 
 def summary(study: optuna.Study, search: Search) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def summary(study: optuna.Study, search: Search) -> dict[str, Any]:
     trials = study.get_trials(deepcopy=False)
     complete = [trial for trial in trials if trial.state == TrialState.COMPLETE]
     front = {trial.number: trial for trial in study.best_trials}
-    chosen = min(front, key=lambda number: (cost(front[number]), number), default=None)
+    chosen = min(front, key=lambda number: (cost(search.kind, front[number]), number), default=None)
     failed = [trial for trial in trials if trial.state == TrialState.FAIL]
     return {
         "study": study.study_name,
@@ -65,7 +65,7 @@ def summary(study: optuna.Study, search: Search) -> dict[str, Any]:
             "interrupted": sum("fault" not in trial.user_attrs for trial in failed),
             "under way": sum(trial.state == TrialState.RUNNING for trial in trials),
         },
-        "rule": "least sqrt(seconds^2 + 3 amae^2) on the Pareto front (thesis, Eq. 5.1)",
+        "rule": model_class(search.kind).cost.rule,
         "chosen": chosen,
         "importances": importances(study, search.seed),
         "trials": [

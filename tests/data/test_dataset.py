@@ -1,4 +1,4 @@
-"""Samples: drawn without favour, answered by the truth, the same whoever makes them, and safe in their file."""
+"""Samples: drawn without favour, answered by the simulator, the same whoever makes them, and safe in their file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import h5py
 import numpy as np
@@ -17,6 +17,7 @@ import trimesh
 from fracture_samples import SMALL, bar_bell, same
 from scipy.stats import chisquare, kstest
 
+import fracsim
 from fracsim.cli.main import main
 from fracsim.common.errors import BakeError, DatasetError
 from fracsim.data.dataset import Dataset
@@ -26,8 +27,10 @@ from fracsim.data.workers import run_blocks
 from fracsim.data.writing import make_dataset, regenerate
 from fracsim.fracture.rule import separated
 from fracsim.geometry.sampling import CONE, SurfacePoints
+from fracsim.simulators import SIMULATORS
 from fracsim.simulators.base import Impacts, Response
 from fracsim.simulators.registry import SimulatorOptions, make_simulator
+from fracsim.solids.cut import cut_lattice
 from fracsim.solids.surface import read_surface, refine
 from fracsim.solids.walls import facing_vertices
 
@@ -59,7 +62,7 @@ def copy(made, tmp_path):
 # Drawing
 
 
-def test_single_blows_are_uniform_over_the_area_and_within_the_cone(surface):
+def test_single_impacts_are_uniform_over_the_area_and_within_the_cone(surface):
     impacts, kind = draw_impacts(surface, 40000, np.random.default_rng(0))
     single = kind == 0
     points = SurfacePoints(surface.vertices, surface.faces)
@@ -349,12 +352,12 @@ import fracsim.data.writing as storage
 from fracsim.simulators.registry import SimulatorOptions
 from fracture_samples import SMALL, bar_bell
 from fracsim.solids.surface import read_surface
-append = storage._append
-def slowly(file, block, samples):
-    append(file, block, samples)
+append = storage.append_block
+def slowly(path, file, block, samples):
+    append(path, file, block, samples)
     print(block, flush=True)
     time.sleep(float(sys.argv[2]))
-storage._append = slowly
+storage.append_block = slowly
 storage.make_dataset(sys.argv[1], read_surface(bar_bell()), 4000, 3, SMALL)
 """
 
@@ -387,7 +390,7 @@ def test_an_interrupted_file_is_readable_and_is_taken_up_where_it_was_left(tmp_p
     assert [entry.name for entry in tmp_path.iterdir()] == ["d.h5"]
 
 
-# A truth of one's own
+# Simulators of the user's own
 
 
 class Halves:
@@ -412,7 +415,7 @@ class Halves:
         return Response(np.stack([np.zeros(len(parted), np.int64), parted.astype(np.int64)], axis=1))
 
 
-def test_a_truth_of_ones_own_stands_behind_the_same_file(simulator, tmp_path):
+def test_a_simulator_of_ones_own_stands_behind_the_same_file(simulator, tmp_path):
     path = tmp_path / "own.h5"
     own = Halves(simulator)
     make_dataset(path, own.surface, 500, 0, simulator=own)
@@ -426,8 +429,105 @@ def test_a_truth_of_ones_own_stands_behind_the_same_file(simulator, tmp_path):
     with pytest.raises(DatasetError, match="pass that simulator"):
         make_dataset(path, own.surface, 600, 0)
     make_dataset(path, own.surface, 600, 0, simulator=own)
-    with pytest.raises(DatasetError, match="cannot be made again from the file"):
+    with pytest.raises(DatasetError, match="is not registered, so it cannot be made again"):
         regenerate(path, tmp_path / "again.h5")
+
+
+@dataclass(frozen=True)
+class SlabOptions(SimulatorOptions):
+    along: tuple[float, ...] = (1.0, 0.0, 0.0)
+
+
+class Slabs:
+    """Any impact of severity 1 or more cuts the body across a direction into slabs, whose bounds chance has drawn."""
+
+    options_type = SlabOptions
+    fixed_cracks = False
+    repeatable = True
+    driven_by_impact_field = False
+
+    def __init__(self, surface, cells, along, bounds):
+        self.surface, self.cells, self.along, self.bounds = surface, cells, np.array(along), bounds
+
+    @classmethod
+    def build(cls, surface, options, rng, progress=None):
+        return cls(surface, cut_lattice(surface, options.cells, rng), options.along, np.sort(rng.uniform(-0.2, 0.2, 2)))
+
+    def thresholds(self, impacts):
+        return 1.0 / impacts.severities.sum(axis=1)
+
+    def fracture(self, impacts):
+        slab = np.searchsorted(self.bounds, self.cells.centroids @ self.along)
+        broken = impacts.severities.sum(axis=1) >= 1 - 1e-12
+        return Response(np.where(broken[:, None], slab, 0))
+
+    def state(self):
+        return {"deep/bounds": self.bounds}, {"along": self.along.tolist()}
+
+    @classmethod
+    def restore(cls, surface, cells, interfaces, arrays, numbers):
+        return cls(surface, cells, numbers["along"], arrays["deep/bounds"])
+
+
+@pytest.fixture
+def slabs(monkeypatch):
+    monkeypatch.setattr(Slabs, "repeatable", True)
+    fracsim.register_simulator("slabs", Slabs)
+    yield
+    SIMULATORS.pop("slabs", None)
+
+
+def test_a_registered_simulator_of_ones_own_is_kept_gone_on_with_and_made_again(slabs, surface, tmp_path):
+    path = tmp_path / "slabs.h5"
+    options = SlabOptions("slabs", cells=300, along=(0.6, 0.8, 0.0))
+    make_dataset(path, surface, 500, 2, options)
+    expected = sample(make_simulator(surface, options, 2), 700, 2)
+    with Dataset(path) as dataset:
+        assert isinstance(dataset.simulator, Slabs)
+        assert dataset.header["simulator"]["along"] == [0.6, 0.8, 0.0]
+        drawn = dataset.samples()
+        same(drawn, expected.take(slice(500)))
+        assert len(np.unique(drawn.labels)) == 3
+    make_dataset(path, surface, 700, 2, options)
+    with Dataset(path) as dataset:
+        same(dataset.samples(), expected)
+    regenerate(path, tmp_path / "again.h5")
+    with Dataset(tmp_path / "again.h5") as again, Dataset(path) as dataset:
+        same(again.samples(), expected)
+        assert again.header == dataset.header
+    with pytest.raises(DatasetError, match=r"was made from along \[0.6"):
+        make_dataset(path, surface, 700, 2, SlabOptions("slabs", cells=300))
+
+
+def test_a_simulator_that_does_not_repeat_itself_is_not_made_again(slabs, surface, tmp_path, monkeypatch):
+    make_dataset(tmp_path / "d.h5", surface, 100, 0, SlabOptions("slabs", cells=300))
+    monkeypatch.setattr(Slabs, "repeatable", False)
+    with pytest.raises(DatasetError, match="the slabs simulator needs is kept in the file but cannot be worked out"):
+        regenerate(tmp_path / "d.h5", tmp_path / "again.h5")
+
+
+def test_without_its_registration_a_file_is_read_but_not_made_again(slabs, surface, tmp_path):
+    make_dataset(tmp_path / "d.h5", surface, 100, 0, SlabOptions("slabs", cells=300))
+    SIMULATORS.pop("slabs")
+    with Dataset(tmp_path / "d.h5") as dataset:
+        assert dataset.simulator is None
+        assert len(dataset.samples()) == 100
+    with pytest.raises(DatasetError, match=r"its simulator \(slabs\) is not registered"):
+        regenerate(tmp_path / "d.h5", tmp_path / "again.h5")
+
+
+def test_a_fault_in_a_simulators_own_code_is_not_called_damage(slabs, surface, tmp_path, monkeypatch):
+    make_dataset(tmp_path / "d.h5", surface, 100, 0, SlabOptions("slabs", cells=300))
+
+    def slip(cls, surface, cells, interfaces, arrays, numbers):
+        raise ValueError("a slip")
+
+    monkeypatch.setattr(Slabs, "restore", classmethod(slip))
+    with Dataset(tmp_path / "d.h5") as dataset, pytest.raises(ValueError, match="a slip"):
+        _ = dataset.simulator
+    monkeypatch.setattr(Slabs, "restore", classmethod(lambda cls, s, c, i, arrays, numbers: arrays["width"]))
+    with Dataset(tmp_path / "d.h5") as dataset, pytest.raises(DatasetError, match="needs 'width', which the file"):
+        _ = dataset.simulator
 
 
 WRONG = {
@@ -441,7 +541,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("fault", [*WRONG, "thresholds"])
-def test_wrong_answers_of_ones_own_truth_are_refused_before_there_is_a_file(simulator, tmp_path, fault):
+def test_wrong_answers_of_ones_own_simulator_are_refused_before_there_is_a_file(simulator, tmp_path, fault):
     own = Halves(simulator)
     if fault == "thresholds":
         own.thresholds = lambda impacts: np.full(len(impacts), np.nan)
@@ -503,13 +603,13 @@ def test_the_command_line_makes_appends_describes_and_draws(tmp_path, capsys):
         assert "would be overwritten" in capsys.readouterr().err
     assert out.read_bytes() == before
     assert main([*make, "--simulator", "magic", "--out", str(tmp_path / "new.h5")]) == 2
-    assert "unknown truth 'magic'" in capsys.readouterr().err
+    assert "unknown simulator 'magic'" in capsys.readouterr().err
 
 
-def test_options_of_a_truth_are_checked():
+def test_options_of_a_simulator_are_checked():
     with pytest.raises(BakeError, match="cells must be a whole number and at least 50"):
         SimulatorOptions(cells=3)
-    with pytest.raises(BakeError, match="unknown truth"):
+    with pytest.raises(BakeError, match="unknown simulator"):
         SimulatorOptions(name="guess")
 
 

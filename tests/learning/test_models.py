@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from fracsim.common.errors import ModelError
 from fracsim.data.dataset import Dataset
+from fracsim.learning import model_class
 from fracsim.learning.body import BodyGeometry
 from fracsim.learning.deltaconv import (
     Calculus,
@@ -20,13 +21,13 @@ from fracsim.learning.deltaconv import (
     DeltaConvOptions,
     DeltaNet,
     Operators,
-    _Vectors,
+    VectorLayers,
     calculus,
     tangent_frames,
     turned,
 )
-from fracsim.learning.mlp import MLP, MLPOptions, _Points
-from fracsim.learning.model import load_model, model_class, save_model
+from fracsim.learning.mlp import MLP, MLPOptions, PointLearner
+from fracsim.learning.model import load_model, save_model
 from fracsim.learning.nearest import Nearest, NearestOptions
 from fracsim.learning.options import TrainingOptions
 from fracsim.learning.whole_field import ImpulseInputs, resultant
@@ -168,8 +169,8 @@ def test_surface_points_are_uniform_and_read_linear_fields_exactly(told):
     body, samples = told
     options = replace(SMALL["mlp"], points="surface")
     model = MLP(body, torch.nn.Linear(1, 1), ImpulseInputs.of(body, samples, True), options)
-    points = _Points(model, samples.of_split(0), samples.of_split(1), CPU)
-    node, weight = points._draw(40000, torch.Generator().manual_seed(0))
+    points = PointLearner(model, samples.of_split(0), samples.of_split(1), CPU)
+    node, weight = points.draw(40000, torch.Generator().manual_seed(0))
     assert weight.min() >= -1e-6
     np.testing.assert_allclose(weight.sum(dim=1), 1.0, atol=1e-6)
     where = (points.nodes[node] * weight[:, :, None]).sum(dim=1).numpy()
@@ -300,7 +301,7 @@ def test_the_largest_is_taken_among_a_vertex_and_its_neighbours(globe):
 
 def test_vector_layers_turn_with_the_vectors():
     torch.manual_seed(0)
-    layer = _Vectors(4, 6, 6).eval()
+    layer = VectorLayers(4, 6, 6).eval()
     u = torch.randn(50, 2, 3, 4)
     np.testing.assert_allclose(layer(turned(u)).detach(), turned(layer(u)).detach(), atol=1e-5)
 

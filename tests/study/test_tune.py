@@ -19,18 +19,19 @@ import optuna
 import pytest
 from optuna.trial import TrialState
 
+from fracsim import learning
 from fracsim.cli.main import main
 from fracsim.common.errors import ModelError
 from fracsim.data.dataset import Dataset
 from fracsim.data.samples import FOLDS
-from fracsim.learning import model as base
 from fracsim.learning.body import BodyGeometry
+from fracsim.learning.model import Model
+from fracsim.learning.search import Range
 from fracsim.metrics import amae
 from fracsim.solids.geodesics import CAP
 from fracsim.study import optuna_study, tune
-from fracsim.study import search_space as spaces
 from fracsim.study.optuna_study import open_study
-from fracsim.study.search_space import Range, Search, search_space
+from fracsim.study.search_space import Search, search_space
 from fracsim.study.tune import fold_of
 from fracsim.study.tune_figures import summary, write_figures
 
@@ -44,10 +45,12 @@ class FakeOptions:
     wait: float = 0.0
 
 
-class Fake:
+class Fake(Model):
     """Answers with the truth, which it finds by its impacts, and an error of 0.1 / size."""
 
+    kind = "fake"
     options_type = FakeOptions
+    search_space: ClassVar[dict[str, Range]] = {"size": Range(1, 12), "cost": Range(0.0, 1e-4)}
     fitted: ClassVar[list[types.SimpleNamespace]] = []
     faults: ClassVar[dict[int, Exception | type[BaseException]]] = {}
 
@@ -71,14 +74,12 @@ class Fake:
         return np.full_like(fields, np.nan) if self.options.size == 13 else fields + np.float32(0.1 / self.options.size)
 
 
-SPACE = {"size": Range(1, 12), "cost": Range(0.0, 1e-4)}
+SPACE = Fake.search_space
 
 
 def install(patch_item):
     """Make the fake one of the models."""
-    patch_item(sys.modules, "fracsim.learning.fake", types.SimpleNamespace(Fake=Fake))
-    patch_item(base.MODELS, "fake", "fake:Fake")
-    patch_item(spaces.SPACES, "fake", SPACE)
+    patch_item(learning.MODELS, "fake", Fake)
 
 
 @pytest.fixture(autouse=True)
@@ -224,14 +225,17 @@ def test_an_interrupted_trial_is_tried_again_and_does_not_count(told, study):
 @pytest.mark.parametrize(
     ("make", "fault"),
     [
-        (lambda: search_space("modes"), "nothing of model 'modes' can be tuned"),
+        (lambda: search_space("modes"), "unknown model 'modes'"),
         (lambda: search_space("mlp", {"depth": "1:2"}), "'depth' is not sought; mlp has width, layers"),
         (lambda: search_space("mlp", {"width": "1.5:2"}), "whole numbers, got '1.5:2'"),
         (lambda: search_space("mlp", {"width": "9:2"}), "do not fall"),
         (lambda: Range(0.0, 1.0, log=True), "above 0"),
         (lambda: Search("fake", FakeOptions(), SPACE, folds=6), "there are 5 folds"),
         (lambda: Search("fake", FakeOptions(), SPACE, seed=-1), "seed"),
-        (lambda: Search("fake", FakeOptions(), {"depth": Range(1, 2)}), "no option depth"),
+        (
+            lambda: Search("fake", FakeOptions(), {"depth": Range(1, 2)}),
+            "unknown option 'depth'",
+        ),
     ],
 )
 def test_what_cannot_be_sought_is_refused(make, fault):
@@ -240,9 +244,9 @@ def test_what_cannot_be_sought_is_refused(make, fault):
 
 
 def test_every_space_fits_the_options_of_its_model():
-    for kind in base.MODELS:
+    for kind in learning.MODELS:
         if kind != "fake":
-            options = base.model_class(kind).options_type()
+            options = learning.model_class(kind).options_type()
             search = Search(kind, options, search_space(kind))
             high = search.with_values({name: ends.high for name, ends in search.ranges.items()})
             assert high != options
@@ -426,7 +430,7 @@ def test_the_command_tunes_a_perceptron_goes_on_and_says_what_it_chose(torus_dat
 @pytest.mark.parametrize(
     ("more", "fault"),
     [
-        (("--model", "magic"), "nothing of model 'magic' can be tuned"),
+        (("--model", "magic"), "unknown model 'magic'"),
         (("--range", "width"), "--range takes NAME=VALUE"),
         (("--range", "width=8:many"), "--range width takes LOW:HIGH"),
         (("--set", "depth=3"), "unknown option 'depth'"),

@@ -1,0 +1,172 @@
+"""A simulator of the user's own goes through the commands by its name; what does not fit is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import trimesh
+
+import fracsim
+from fracsim import simulators
+from fracsim.cli.main import main
+from fracsim.data.dataset import Dataset
+from fracsim.fracture.rule import components, separated
+from fracsim.simulators import register_simulator, simulator_class
+from fracsim.simulators.base import Impacts, Response, interfaces_between
+from fracsim.simulators.registry import SimulatorOptions, make_simulator, options_for
+from fracsim.solids.cut import cut_lattice
+from fracsim.solids.solid import Solid, relabel
+from fracsim.solids.surface import Surface, read_surface
+
+
+@dataclass(frozen=True)
+class SlicerOptions(SimulatorOptions):
+    slices: int = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Slicer:
+    """Cuts a body into slices across x, and breaks it between two of them: the nearer to the impact, the sooner."""
+
+    options_type: ClassVar[type[SimulatorOptions]] = SlicerOptions
+    fixed_cracks: ClassVar[bool] = True
+    repeatable: ClassVar[bool] = True
+    driven_by_impact_field: ClassVar[bool] = False
+
+    surface: Surface
+    cells: Solid
+    strength: float
+
+    @classmethod
+    def build(cls, surface, options, rng, progress=None):
+        solid = cut_lattice(surface, options.cells, rng)
+        edges = np.quantile(solid.centroids[:, 0], np.linspace(0, 1, options.slices + 1)[1:-1])
+        return cls(surface, relabel(solid, np.searchsorted(edges, solid.centroids[:, 0])), float(rng.uniform(1, 2)))
+
+    def loads(self, impacts: Impacts):
+        corner = self.surface.vertices[self.surface.faces[impacts.faces]]
+        x = np.einsum("nkc,nkci->nki", impacts.barycentric, corner)[..., 0]
+        pairs = interfaces_between(self.cells).pairs
+        middle = self.cells.centroids[pairs, 0].mean(axis=1)
+        near = np.exp(-np.abs(x[..., None] - middle))
+        return (impacts.severities[..., None] * near).sum(axis=1) / self.strength, pairs
+
+    def thresholds(self, impacts: Impacts):
+        return 1.0 / self.loads(impacts)[0].max(axis=1)
+
+    def fracture(self, impacts: Impacts) -> Response:
+        loads, pairs = self.loads(impacts)
+        broken = loads >= 1.0
+        return Response(components(~broken, pairs, len(self.cells.volumes)), broken)
+
+    def state(self):
+        return {}, {"strength": self.strength}
+
+    @classmethod
+    def restore(cls, surface, cells, interfaces, arrays, numbers):
+        return cls(surface, cells, numbers["strength"])
+
+
+@pytest.fixture
+def slicer():
+    """The slicer under its name, for one test."""
+    fracsim.register_simulator("slicer", Slicer)
+    yield "slicer"
+    del simulators.SIMULATORS["slicer"]
+
+
+@pytest.fixture
+def mesh(tmp_path):
+    path = tmp_path / "bar.obj"
+    trimesh.creation.box((0.4, 0.1, 0.1)).subdivide().subdivide().export(path)
+    return path
+
+
+def test_a_users_simulator_makes_a_dataset_that_can_be_appended_to(slicer, mesh, tmp_path, capsys):
+    out = tmp_path / "bar.h5"
+    sizes = ["--cells", "200", "--samples", "400", "--seed", "3", "--quiet"]
+    assert main(["dataset", "make", str(mesh), "--out", str(out), "--simulator", slicer, *sizes]) == 0
+    with Dataset(out) as dataset:
+        assert dataset.header["simulator"]["name"] == slicer
+        assert dataset.header["simulator"]["slices"] == 6
+        simulator, samples = dataset.simulator, dataset.samples()
+    assert isinstance(simulator, Slicer)
+    np.testing.assert_array_equal(simulator.fracture(samples.impacts).labels, samples.labels)
+    np.testing.assert_array_equal(samples.labels.any(axis=1), samples.ratio >= 1)
+
+    longer = ["--cells", "200", "--append", "400", "--seed", "3", "--quiet"]
+    assert main(["dataset", "make", str(mesh), "--out", str(out), "--simulator", slicer, *longer]) == 0
+    whole = tmp_path / "whole.h5"
+    sizes[3] = "800"
+    assert main(["dataset", "make", str(mesh), "--out", str(whole), "--simulator", slicer, *sizes]) == 0
+    with Dataset(out) as appended, Dataset(whole) as at_once:
+        assert len(appended) == 800
+        np.testing.assert_array_equal(appended.samples().labels, at_once.samples().labels)
+    again = tmp_path / "again.h5"
+    assert main(["dataset", "make", "--like", str(out), "--out", str(again), "--quiet"]) == 0
+    with Dataset(again) as remade, Dataset(out) as appended:
+        np.testing.assert_array_equal(remade.samples().ratio, appended.samples().ratio)
+        np.testing.assert_array_equal(remade.samples().labels, appended.samples().labels)
+
+
+def test_a_users_simulator_bakes_into_an_asset_that_breaks_between_its_cells(slicer, mesh, tmp_path, capsys):
+    out, figures = tmp_path / "bar.frac", tmp_path / "bar.json"
+    sizes = ["--cells", "200", "--samples", "800", "--steps", "40", "--workers", "1", "--quiet"]
+    code = main(["bake", str(mesh), "--out", str(out), "--simulator", slicer, *sizes, "--json", str(figures)])
+    assert code == 0, capsys.readouterr().err
+    assert json.loads(figures.read_text())["simulator"] == slicer
+    asset = fracsim.load(out)
+    assert asset.baked_from.simulator == slicer
+    assert asset.arrays.complex.count == 6  # slices
+    hard = asset.sample_impulses(40, 0)
+    assert max(len(asset.fracture(impulse).pieces) for impulse in hard) > 1
+
+
+def test_options_of_a_simulator_are_its_own(slicer, mesh):
+    assert options_for(slicer, slices=3) == SlicerOptions(slicer, slices=3)
+    with pytest.raises(fracsim.BakeError, match="'slicer' has no option 'colour'; it has name, cells"):
+        options_for(slicer, colour=1)
+    with pytest.raises(fracsim.BakeError, match="'modal' has no option 'slices'"):
+        options_for("modal", slices=3)
+    plain = SimulatorOptions(slicer, cells=200)  # what knows of no slices takes their default
+    made = make_simulator(read_surface(mesh), plain, 0)
+    assert len(made.cells.volumes) == 6
+    middle = make_simulator(read_surface(mesh), options_for(slicer, cells=200, slices=2), 0)
+    assert separated(np.arange(2), interfaces_between(middle.cells).pairs).tolist() == [True]
+
+
+def test_a_taken_name_and_a_class_that_lacks_something_are_refused():
+    with pytest.raises(fracsim.BakeError, match="'modal' is taken"):
+        register_simulator("modal", Slicer)
+    with pytest.raises(fracsim.BakeError, match="got 'own'"):
+        register_simulator("own", Slicer)
+    incomplete = type("Incomplete", (), {"build": None, "fracture": None})
+    with pytest.raises(fracsim.BakeError, match=r"Incomplete lacks options_type, .*, restore"):
+        register_simulator("incomplete", incomplete)
+    with pytest.raises(fracsim.BakeError, match="must be a class"):
+        register_simulator("instance", object())
+    assert "incomplete" not in simulators.SIMULATORS
+
+
+def test_a_name_that_nothing_has_is_refused_with_those_that_are_there():
+    for ask in (lambda: simulator_class("guess"), lambda: SimulatorOptions(name="guess")):
+        with pytest.raises(fracsim.BakeError, match="unknown simulator 'guess'; use modal or elastic or radial"):
+            ask()
+
+
+def test_a_simulator_may_be_registered_by_where_it_is_and_is_imported_when_first_used(monkeypatch):
+    monkeypatch.setitem(simulators.SIMULATORS, "later", f"{__name__}:Slicer")
+    assert simulator_class("later") is Slicer
+    monkeypatch.setitem(simulators.SIMULATORS, "nowhere", f"{__name__}:Missing")
+    with pytest.raises(fracsim.BakeError, match="has no class 'Missing'"):
+        simulator_class("nowhere")
+
+
+def test_every_simulator_of_the_package_is_complete():
+    for name in ("modal", "elastic", "radial"):
+        cls = simulator_class(name)
+        assert {attribute for attribute in simulators.REQUIRED if attribute not in dir(cls)} == set()
