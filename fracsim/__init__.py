@@ -1,7 +1,18 @@
 """fracsim: breakable objects for PyBullet and Gymnasium, in real time, on a CPU.
 
-Importing it registers the Gymnasium environments and loads numpy and gymnasium, nothing heavier;
-every other name is loaded when it is first used.
+Importing it registers the Gymnasium environments and loads NumPy and Gymnasium, nothing heavier; every other name is
+loaded when it is first used. Online, `load` gives a `BreakableAsset`, which answers impulses with fractures, and
+`World` lets PyBullet bodies break by it. Offline, `bake` makes an asset of a mesh, and `make_dataset` writes fractures
+to learn from. `register_simulator`, `register_model`, `register_segmentation` and
+`register_environment` add one of your own.
+
+Examples
+--------
+>>> import fracsim
+>>> bunny = fracsim.load("bunny")
+>>> fracture = bunny.fracture(bunny.sample_impulses(1, seed=1))
+>>> len(fracture.pieces) == len(set(fracture.labels.tolist()))
+True
 """
 
 from __future__ import annotations
@@ -44,21 +55,21 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 _LAZY = {
-    "BreakableAsset": "fracture.asset",
-    "Fracture": "fracture.result",
-    "load": "fracture.asset",
     "bake": "baking",
+    "BreakableAsset": "fracture.asset",
     "Dataset": "data.dataset",
+    "Fracture": "fracture.result",
+    "FractureEvent": "physics.events",
+    "load": "fracture.asset",
     "make_dataset": "data.writing",
     "Material": "common.material",
     "Piece": "fracture.pieces",
-    "register_segmentation": "segmentation",
-    "segment": "segmentation",
-    "World": "physics.world",
-    "FractureEvent": "physics.events",
     "register_environment": "envs",
     "register_model": "learning",
+    "register_segmentation": "segmentation",
     "register_simulator": "simulators",
+    "segment": "segmentation",
+    "World": "physics.world",
 }
 
 __all__ = [
@@ -97,6 +108,7 @@ _SUBMODULES = ("envs", "metrics")
 
 
 def __getattr__(name: str) -> Any:
+    """Load a name when it is first used."""
     if name in _SUBMODULES:
         return importlib.import_module(f".{name}", __name__)
     if name in _LAZY:
@@ -107,6 +119,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    """List the names, those not loaded yet included."""
     return sorted({*globals(), *_LAZY, *_SUBMODULES})
 
 
