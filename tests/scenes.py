@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pybullet as p
@@ -42,9 +43,21 @@ def block(low, high, density, parts):
     )
 
 
+class SlabMaterial(NamedTuple):
+    """What contacts and cracks need to know of a material."""
+
+    name: str = "ceramic"
+    friction: float = 0.5
+    restitution: float = 0.0
+    fracture_energy: float = 0.0  # J/m²
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class SlabBox:
-    """A box with its frame at a corner; it breaks into slabs across x when hit with `toughness` N·s."""
+    """A box with its frame at a corner, as a user's own breakable object.
+
+    It breaks into slabs across x when hit with `toughness` N·s.
+    """
 
     size: float = 1.0
     slabs: int = 4
@@ -55,6 +68,7 @@ class SlabBox:
     queries: list = dataclasses.field(default_factory=list)
 
     name = "slab box"
+    volume_fraction = 1.0
 
     def __post_init__(self):
         whole = block((0, 0, 0), [self.size] * 3, self.density, 2)
@@ -63,9 +77,7 @@ class SlabBox:
 
     @property
     def material(self):
-        return SimpleNamespace(
-            name="ceramic", density=self.density, restitution=self.restitution, fracture_energy=self.energy
-        )
+        return SlabMaterial(restitution=self.restitution, fracture_energy=self.energy)
 
     @property
     def reach(self):
@@ -99,6 +111,9 @@ class SlabBox:
         )
         area = (len(pieces) - 1) * self.size**2
         return SimpleNamespace(pieces=pieces, labels=None, udf=None, timings={"field": 0.0}, crack_area=area)
+
+    def breakable_piece(self, piece):
+        raise NotImplementedError("its pieces are of one atom each, which breaks no more")
 
     def unbroken(self):
         return SimpleNamespace(pieces=(block((0, 0, 0), [self.size] * 3, self.density, 2),), timings={}, crack_area=0.0)

@@ -37,7 +37,8 @@ class BreakableMaterial(Protocol):
 class Breakable(Protocol):
     """Something that may break: an asset, a piece of one, or an object of a user's own.
 
-    Lengths are in metres and points in the object's own frame. A piece is in the frame of the object that it comes from.
+    Lengths are in metres and points in the object's own frame. A piece is in the frame of its
+    object.
     """
 
     @property

@@ -24,6 +24,8 @@ class Clock:
 
     Attributes
     ----------
+    steps : int
+        Steps taken.
     time_step : float
         Duration of a step, s.
     gravity : tuple of float
@@ -34,8 +36,9 @@ class Clock:
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
+        self.steps = 0
         self._time_read = 0.0  # s, at the last reading
-        self._steps_since = 0
+        self._steps_read = 0
         self.time_step: float
         self.gravity: Triple
         self.time_step, self.gravity = engine.clock()
@@ -44,7 +47,7 @@ class Clock:
     @property
     def time(self) -> float:
         """Simulated time, s."""
-        return self._time_read + self._steps_since * self.time_step
+        return self._time_read + (self.steps - self._steps_read) * self.time_step
 
     def tick(self) -> bool:
         """Count a step.
@@ -54,8 +57,8 @@ class Clock:
         bool
             Whether the engine's settings should be read again.
         """
-        self._steps_since += 1
-        return self._steps_since == STEPS_BETWEEN_READINGS
+        self.steps += 1
+        return self.steps - self._steps_read == STEPS_BETWEEN_READINGS
 
     def read(self) -> bool:
         """Read the engine's time step and gravity, which somebody may have changed.
@@ -65,7 +68,7 @@ class Clock:
         bool
             Whether they have changed.
         """
-        self._time_read, self._steps_since = self.time, 0
+        self._time_read, self._steps_read = self.time, self.steps
         known = self.time_step, self.gravity
         self.time_step, self.gravity = self._engine.clock()
         if (self.time_step, self.gravity) == known:

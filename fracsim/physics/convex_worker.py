@@ -1,4 +1,7 @@
-"""TODO physics.convex_worker."""
+"""A process that makes convex parts in the background, and both ends of the pipes to it.
+
+`live_convex` submits tasks; the file is also the program that the process runs.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import atexit
 import os
 import struct
 import sys
+import traceback
 from collections.abc import Mapping
 from concurrent.futures import Future
 from contextlib import suppress
@@ -23,36 +27,78 @@ from ..common.arrays import FloatArray, IntArray
 from ..common.errors import BakeError
 
 Surfaces = list[tuple[FloatArray, IntArray]]
-Task = tuple[Surfaces, IntArray, FloatArray]  # see ``task``
-Answer = list[list[FloatArray]] | None  # see ``decomposed``
+Task = tuple[Surfaces, IntArray, FloatArray]  # the arguments of decompose_pieces
+Answer = list[list[FloatArray]] | None  # what it returns
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
 def decompose_pieces(surfaces: Surfaces, pairs: IntArray, normals: FloatArray) -> Answer:
-    """The points of each surface's convex parts; None when a small one is left with nothing between the others."""
+    """Decompose pieces by CoACD and cut their convex parts apart.
+
+    Parameters
+    ----------
+    surfaces : list of tuple of ndarray
+        Vertices (n, 3) and faces (m, 3) of each piece, in units of the asset's largest extent.
+    pairs : ndarray of int64, shape (I, 2)
+        Pieces that meet.
+    normals : ndarray of float64, shape (I, 3)
+        Mean normal of the border of each pair.
+
+    Returns
+    -------
+    list of list of ndarray, or None
+        Points (n, 3) of each convex part of each piece; None where a small piece is left with nothing between the
+        others.
+
+    Raises
+    ------
+    BakeError
+        Where one of the libraries that do it (CoACD, manifold3d, Qhull) gave up; these raise RuntimeError.
+    """
     from ..solids.convex import separate
 
     try:
-        return [[points for points, _ in some] for some in separate(surfaces, pairs, normals)]
+        return [[points for points, _ in parts] for parts in separate(surfaces, pairs, normals)]
     except BakeError:
         return None
+    except RuntimeError as error:
+        first_line = str(error).partition("\n")[0]  # Qhull goes on for a page
+        raise BakeError(f"its pieces were not decomposed ({first_line})") from error
 
 
-class _Worker:
-    """A process that decomposes, one task after another, started when first asked and anew when it has died.
+class ConvexWorker:
+    """A process that decomposes pieces, one task after another.
 
-    A process and no thread, which would hold up steps while it has the interpreter, and whose crash would be the
-    simulation's; no pool of multiprocessing, as that runs the user's script once more.
+    It is started when first asked, and anew when it has died. It is a process and no thread, which would hold up steps
+    while it has the interpreter, and whose crash would be the simulation's; and no pool of multiprocessing, as that
+    runs the user's script once more.
+
+    Attributes
+    ----------
+    process : Popen or None
+        The process, once started.
     """
 
     def __init__(self) -> None:
+        self.process: Popen[bytes] | None = None
         self._tasks: SimpleQueue[tuple[Task, Future[Answer]]] = SimpleQueue()
-        self._process: Popen[bytes] | None = None
         Thread(target=self._run, name="fracsim-refine", daemon=True).start()
         atexit.register(self._end)
 
     def submit(self, task: Task) -> Future[Answer]:
-        """The task ``decomposed``, in time; whatever goes wrong is a BakeError."""
+        """Begin a decomposition.
+
+        Parameters
+        ----------
+        task : tuple
+            The arguments of `decompose_pieces`.
+
+        Returns
+        -------
+        Future
+            What `decompose_pieces` returns, in time. Its exception is a BakeError where the decomposition failed or
+            the process died, and a RuntimeError with the process's traceback where our code is at fault.
+        """
         future: Future[Answer] = Future()
         self._tasks.put((task, future))
         return future
@@ -62,8 +108,8 @@ class _Worker:
             task, future = self._tasks.get()
             try:
                 future.set_result(self._ask(*task))
-            except Exception as error:
-                future.set_exception(BakeError(f"its pieces were not decomposed in the background ({error})"))
+            except Exception as error:  # hidden from nobody: the future raises it where it is asked
+                future.set_exception(error)
 
     def _ask(self, surfaces: Surfaces, pairs: IntArray, normals: FloatArray) -> Answer:
         process = self._started()
@@ -77,9 +123,14 @@ class _Worker:
             answer = _receive(process.stdout)
         except (OSError, EOFError) as error:
             process.kill()
-            raise RuntimeError(f"the worker ended with exit status {process.wait()}") from error
-        if "fault" in answer:
-            raise RuntimeError(answer["fault"].tobytes().decode())
+            status = process.wait()
+            raise BakeError(
+                f"its pieces were not decomposed in the background (the worker ended with exit status {status})"
+            ) from error
+        if "failure" in answer:
+            raise BakeError(answer["failure"].tobytes().decode() + " in the background")
+        if "bug" in answer:
+            raise RuntimeError("the worker that decomposes pieces failed:\n" + answer["bug"].tobytes().decode())
         if not answer:
             return None
         parts: list[list[FloatArray]] = [[] for _ in surfaces]
@@ -88,29 +139,43 @@ class _Worker:
         return parts
 
     def _started(self) -> Popen[bytes]:
-        if self._process is None or self._process.poll() is not None:
-            self._process = Popen(
-                [sys.executable, "-P", "-m", __name__],
-                stdin=PIPE,
-                stdout=PIPE,
-                env=os.environ | {"PYTHONPATH": os.pathsep.join(map(str, sys.path))},
-                process_group=0,  # Ctrl-C is for the parent to answer
-            )
-        return self._process
+        if self.process is None or self.process.poll() is not None:
+            try:
+                self.process = Popen(
+                    [sys.executable, "-P", "-m", __name__],
+                    stdin=PIPE,
+                    stdout=PIPE,
+                    env=os.environ | {"PYTHONPATH": os.pathsep.join(map(str, sys.path))},
+                    process_group=0,  # Ctrl-C is for the parent to answer
+                )
+            except OSError as error:
+                raise BakeError(f"the worker that decomposes pieces could not be started ({error})") from error
+        return self.process
 
     def _end(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
 
 
 @cache
-def worker(process: int) -> _Worker:
-    """One a process, as a fork takes neither the thread nor the pipes along."""
-    return _Worker()
+def worker(process: int) -> ConvexWorker:
+    """Give the worker of a process, as a fork takes neither the thread nor the pipes along.
+
+    Parameters
+    ----------
+    process : int
+        ``os.getpid()``.
+
+    Returns
+    -------
+    ConvexWorker
+        One for each process.
+    """
+    return ConvexWorker()
 
 
-# What both ends of the pipes speak: safetensors, with its length before it
+# Messages of both ends: safetensors, with their length before them
 
 
 def _send(stream: IO[bytes], arrays: Arrays) -> None:
@@ -120,7 +185,7 @@ def _send(stream: IO[bytes], arrays: Arrays) -> None:
 
 
 def _receive(stream: IO[bytes]) -> dict[str, npt.NDArray[Any]]:
-    """Raises EOFError where the other end is gone."""
+    """Read one message; EOFError where the other end is gone."""
     head = stream.read(8)
     if len(head) < 8:
         raise EOFError
@@ -158,16 +223,22 @@ def _answer(message: Arrays) -> Arrays:
     try:
         surfaces = [(message[f"vertices {k}"], message[f"faces {k}"]) for k in range((len(message) - 2) // 2)]
         parts = decompose_pieces(surfaces, message["pairs"], message["normals"])
-    except Exception as error:
-        return {"fault": np.frombuffer(f"{type(error).__name__}: {error}".encode(), np.uint8)}
+    except BakeError as error:
+        return {"failure": _text(str(error))}
+    except Exception:  # raised again in the parent, where it belongs
+        return {"bug": _text(traceback.format_exc())}
     if parts is None:
         return {}
-    points = [some for one in parts for some in one]
+    points = [part for piece in parts for part in piece]
     return {
         "points": np.concatenate(points),
-        "ends": np.cumsum([len(some) for some in points]),
-        "owners": np.repeat(np.arange(len(parts)), [len(one) for one in parts]),
+        "ends": np.cumsum([len(part) for part in points]),
+        "owners": np.repeat(np.arange(len(parts)), [len(piece) for piece in parts]),
     }
+
+
+def _text(message: str) -> npt.NDArray[np.uint8]:
+    return np.frombuffer(message.encode(), np.uint8)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""TODO physics.events."""
+"""What `World.step` and `World.fracture` return: an account of a break.
+
+Plain data: it pickles, deep-copies and travels between processes.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,29 @@ if TYPE_CHECKING:
 class FractureEvent:
     """A body that broke, or held when it was told to break.
 
-    parent: its id, gone from the engine unless `children` is empty.
-    children: the ids of the pieces, in the order of fracture.pieces; () when it did not break. A ``budget`` may have
-    removed some again.
-    impulses: what it was hit with, in the asset's frame, strongest first.
-    fracture: the model's answer, whole when it had none that made sense. time: s, simulated by this world.
-    timings: ms of each stage: impulse (contacts to impulses), fracture (model to pieces), bodies (the swap).
-    energy: what its cracks take and have taken so far. generation: 0 for a body that was added, 1 for its pieces.
-    constraints: those that held it, by their ids before and now that they hold pieces.
+    Attributes
+    ----------
+    parent : int
+        Id of the body. It is gone from the engine unless `children` is empty.
+    children : tuple of int
+        Ids of the pieces, in the order of `fracture.pieces`; () where it did not break. A world with a `budget` may
+        have removed some of them again.
+    impulses : tuple of Impulse
+        What acted on the body, in its asset's frame (m, N·s), strongest first.
+    fracture : Fracture
+        The model's answer; the whole body where it had none that made sense.
+    time : float
+        When it broke, s, simulated by its world.
+    timings : dict of str to float
+        Time of each stage, ms: "impulse" (contacts to impulses), "fracture" (model to pieces), "bodies" (pieces to
+        bodies).
+    energy : CrackEnergy
+        Energy that the cracks take, and what they have taken so far, J. It grows for 20 ms after the break; a copy
+        does not.
+    generation : int
+        0 for a body that was added, 1 for its pieces, and so on.
+    constraints : dict of int to int
+        Constraints that held the body: their ids before, and now that they hold pieces.
     """
 
     parent: int
@@ -38,5 +56,5 @@ class FractureEvent:
 
     @property
     def impulse(self) -> Impulse:
-        """The strongest impulse."""
+        """The strongest impulse (m, N·s)."""
         return self.impulses[0]

@@ -119,14 +119,12 @@ class LastStep:
         record = state.records.get(body)
         reach = SETTINGS.unknown_reach if record is None else record.reach
         tolerance = SETTINGS.spin_tolerance * limit / reach
-        if not _differ(
-            angular, kept[1], tolerance, SETTINGS.spin_share, angular, kept[1], engine.motion(body)[1]
-        ):
+        if not _differ(angular, kept[1], tolerance, SETTINGS.spin_share, angular, kept[1], engine.motion(body)[1]):
             angular = kept[1]
         return kept[0], angular
 
     def _is_constrained(self, body: int) -> bool:
-        return any(body in (info[0], info[2]) for _, info in self._state.engine.constraints())
+        return bool(self._state.engine.constraints.of(body))
 
 
 def velocity_before_step(

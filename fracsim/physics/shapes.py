@@ -25,6 +25,7 @@ CONTACT_PROCESSING_THRESHOLD = 1e-4
 MAX_VELOCITY = 1e5
 
 _FILES = count()  # numbers of the files of this process
+_UNSEEN = (0.0, 0.0, 0.0, 0.0)  # red, green, blue, opacity
 _POINT, _TRIANGLE = ((0.0, 0.0, 0.0),) * 3, (0, 1, 2)  # a triangle without extent, which shows nothing
 
 ShapeKey = tuple[float, Placement, tuple[int, ...]]
@@ -114,6 +115,11 @@ class Shapes:
         turned = abs(float(np.dot(quaternion, frame[1])))
         return bool(np.allclose(position, frame[0]) and turned > 1.0 - 1e-9)
 
+    def _shows_nothing(self, body: int) -> bool:
+        """Tell whether a body has the invisible shape; after a reset its id may be that of another shape."""
+        shapes = p.getVisualShapeData(body, physicsClientId=self._client)
+        return len(shapes) == 1 and shapes[0][2] == p.GEOM_MESH and tuple(shapes[0][7]) == _UNSEEN
+
     def _invisible_shape(self) -> int:
         """Give the visual shape that shows nothing; without any the engine would draw the collision shape.
 
@@ -127,7 +133,7 @@ class Shapes:
                 p.GEOM_MESH,
                 vertices=_POINT,  # the engine keeps a reference to each of these for ever
                 indices=_TRIANGLE,
-                rgbaColor=(0, 0, 0, 0),
+                rgbaColor=_UNSEEN,
                 physicsClientId=self._client,
             )
         return self._invisible
@@ -211,7 +217,8 @@ class Shapes:
             shape, is_new = self._collision_shape(parts, frame)
             seen = self._invisible_shape() if visual is None else visual
             body: int = p.createMultiBody(mass, shape, seen, *place, physicsClientId=client)
-            if not is_new and not self._is_made_of(body, parts, frame):
+            is_ours = is_new or self._is_made_of(body, parts, frame)
+            if not is_ours or (visual is None and not self._shows_nothing(body)):
                 # Somebody has reset the simulation, and no shape from before is ours now. A visual one is new.
                 p.removeBody(body, physicsClientId=client)
                 self._forget()

@@ -1,12 +1,13 @@
-"""The world of breakable bodies: it watches contacts, asks the asset, and swaps a body for its pieces."""
+"""The world: breakable bodies in a connected PyBullet client, and the step that lets them break.
+
+The door to this folder: `World.step` names the stages, and each stage is a module of its own.
+"""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import cast
 
 import numpy as np
 
@@ -14,42 +15,26 @@ from ..common.arrays import FloatArray
 from ..common.checks import Vector, at_least, finite_vector, is_number
 from ..common.errors import PhysicsError
 from ..common.impulse import Impulse, as_impulses
-from .activity import Activity
-from .bodies import PIECE_COLOURS, WHOLE_COLOUR, Body, Pose, spawn
+from .bodies import WHOLE_COLOUR, Pose, spawn
+from .breakable import BreakableObject, require_breakable
 from .bullet import Engine
-from .energy import DISSIPATION_TIME, GUARD_TIME, CrackEnergy, Dissipation, PenetrationGuard, RigidStates, dissipate
+from .energy import EnergyBalance, Running
 from .events import FractureEvent
-from .impact_solver import IMPACT_WINDOW
-from .impacts import LOAD_DURATION, ContactImpulse, impact_speed_threshold, predict_impacts, sustained_impulses
-from .live_convex import DECOMPOSITIONS, Refinement, refined_now, require_decomposition
+from .impacts import LOAD_DURATION, ContactImpulse
+from .last_step import LastStep
+from .live_convex import DECOMPOSITIONS, asset_of, require_decomposition
 from .records import BodyRecord
-from .replacement import contact_island, transfer_constraint, velocity_before_step
+from .replacement import Replacement, ReplacementSettings
 from .rotations import quaternion_of, rotation_of
-from .spin import GyroscopicCorrection
-from .states import BodyNotFound, BodyState, ContactForces, ContactProperties, Motion, Triple
-
-if TYPE_CHECKING:
-    from ..fracture.asset import BreakableAsset, BreakablePiece
-    from ..fracture.pieces import Piece
-    from ..fracture.result import Fracture
+from .states import BodyNotFound, ContactProperties
+from .verdicts import Break, StruckBody, Verdicts
+from .world_state import WorldState
 
 ContactCallback = Callable[[ContactImpulse], object]
 
-_MARGIN = 5e-4  # of the size; the gap between the convex parts of two pieces is 1.5e-3
-_SAME_PLACE = 0.05  # of the size: a hit so near to one just counted, from the same body, is the rest of that
-_CLOCK = 8  # steps in which a change of the time step or of gravity is noticed at the latest
-_AFTER = 0.02  # s for which nothing that was in a break may break its pieces: that impact is counted
-
-
-@dataclass(eq=False)
-class _Break:
-    """A body that is to be broken."""
-
-    record: BodyRecord
-    impulses: tuple[Impulse, ...]
-    fracture: Fracture
-    others: frozenset[int]
-    timings: dict[str, float]
+# Collision margin as a share of an object's largest extent: the gap between the convex parts of two pieces is 1.5e-3,
+# and margins must not fill it.
+COLLISION_MARGIN = 5e-4
 
 
 class World:
@@ -58,23 +43,59 @@ class World:
     It owns nothing that it did not create and sets no engine-wide parameter; make a new World after
     resetSimulation. PyBullet reports the centre of mass of a body; `pose` gives the asset's frame.
 
-    client: a physics client id, as pybullet.connect returns it.
-    visuals: give bodies visual shapes. None: only when the client has a window.
-    generations: how often what breaks may break again; 1: pieces stay as they are.
-    smallest: of the volume of what was added: a smaller piece breaks no more.
-    budget: how many pieces there may be; of more, the smallest and stillest are removed. None: any number.
-    fatigue: exponent n of Miner's rule: an impact that is the share r of what breaks a body uses up r**n of its strength.
-    None: any number of impacts that break nothing leave no trace.
-    decomposition: where the convex parts of pieces come from. "baked": the asset, in a fraction of a frame. "coacd":
-    CoACD on each piece as it breaks, in seconds. "background": the same in another process, the pieces beginning as
-    baked and taking over the finer parts, ids kept, ``refine_after`` s of simulated time after the break; the step
-    waits for them if it must, so that a run is the same each time. The latter two need the extra ``bake``.
+    Parameters
+    ----------
+    client : int
+        Physics client id, as pybullet.connect returns it.
+    visuals : bool, optional
+        Whether bodies get visual shapes. None: only where the client has a window.
+    generations : int
+        How often what breaks may break again. 1: pieces stay as they are.
+    smallest : float
+        Share of the volume of what was added, below which a piece breaks no more.
+    budget : int, optional
+        Number of pieces that there may be; of more, the smallest and stillest are removed. None: any number.
+    fatigue : float, optional
+        Exponent n of Miner's rule: an impact that is the share r of what breaks a body uses up r**n of its strength.
+        None: any number of impacts that break nothing leave no trace.
+    decomposition : {"baked", "coacd", "background"}
+        Where the convex parts of pieces come from. "baked": the asset, in a fraction of a frame. "coacd": CoACD on
+        each piece as it breaks, in seconds. "background": the same in another process; the pieces begin as baked and
+        take over the finer parts, ids kept, `refine_after` after the break. The step waits for them if it must, so
+        that a run is the same each time. The latter two need the extra ``bake`` and a baked asset.
+    refine_after : float
+        Time after a break at which the finer parts of "background" take over, s of simulated time.
 
-    Example
-    -------
+    Attributes
+    ----------
+    client : int
+        Physics client id.
+    visuals : bool
+        Whether bodies get visual shapes.
+    settings : ReplacementSettings
+        The options above that concern pieces.
+    times_engine : bool
+        Whether `step` takes the time of the engine's own step; set it to measure what this world adds to that.
+    engine_seconds : float
+        Time that the engine's own step took in the last call of `step`, s of the wall clock; 0 unless `times_engine`.
+
+    Raises
+    ------
+    PhysicsError
+        Where the client is not connected, or an option is out of its range.
+    MissingExtraError
+        Where a decomposition other than "baked" needs what is not installed.
+
+    Examples
+    --------
+    >>> import fracsim, pybullet
     >>> world = fracsim.World(pybullet.connect(pybullet.DIRECT))
-    >>> body = world.add(fracsim.load("vase"), position=(0, 0, 2))
-    >>> while not (events := world.step()): pass
+    >>> body = world.add(fracsim.load("vase").scaled(0.3), position=(0, 0, 2), angular_velocity=(0, 0, 1))
+    >>> event = world.fracture(body, fracsim.Impulse((0, 0.1, 0), (0, -1, 0), 5.0))
+    >>> len(event.children) == len(event.fracture.pieces)
+    True
+    >>> world.step()
+    []
     """
 
     def __init__(
@@ -89,56 +110,128 @@ class World:
         decomposition: str = "baked",
         refine_after: float = 0.5,
     ) -> None:
-        self._engine = Engine(client)
-        self.client = self._engine.client
-        self.visuals = self._engine.has_window if visuals is None else visuals
-        self.generations = int(at_least(generations, 1, "generations"))
-        self.smallest = at_least(smallest, 0.0, "smallest")
-        self.budget = None if budget is None else int(at_least(budget, 0, "budget"))
-        self.fatigue = None if fatigue is None else at_least(fatigue, 1.0, "fatigue")
+        engine = Engine(client)
         if decomposition not in DECOMPOSITIONS:
             raise PhysicsError(f"unknown decomposition {decomposition!r}; use one of {', '.join(DECOMPOSITIONS)}")
         if decomposition != "baked":
             require_decomposition()
-        self.decomposition = decomposition
-        self.refine_after = at_least(refine_after, 0.0, "refine_after")
-        self._refining: list[Refinement] = []
-        self._activity = Activity(self._engine)
-        self._pieces: dict[int, Body] = {}
-        self._damping: dict[int, tuple[float, float]] = {}  # of the pieces; the engine does not tell
-        self._spin = GyroscopicCorrection(self._engine)
+        self.client = engine.client
+        self.visuals = engine.has_window if visuals is None else visuals
+        self.settings = ReplacementSettings(
+            visuals=self.visuals,
+            generations=int(at_least(generations, 1, "generations")),
+            smallest=at_least(smallest, 0.0, "smallest"),
+            budget=None if budget is None else int(at_least(budget, 0, "budget")),
+            decomposition=decomposition,
+            refine_after=at_least(refine_after, 0.0, "refine_after"),
+        )
+        self.times_engine = False
+        self.engine_seconds = 0.0
+        self._engine = engine
         self._callbacks: list[ContactCallback] = []
-        self._cooling: list[Dissipation] = []
-        self._parting: list[PenetrationGuard] = []
-        self._told: frozenset[tuple[int, int]] = frozenset()  # hits that are relived in the step to come
-        self._warned: set[tuple[str, str]] = set()
-        self._renamed: dict[int, int] = {}  # constraints handed over
-        self._dt, self._gravity = self._engine.clock()
-        self._least = impact_speed_threshold(self._dt, self._gravity)
-        self._time, self._steps = 0.0, 0  # s, and the steps since
-        self._touches: ContactForces | None = None  # of the last step, once somebody asked
-        self._motions: dict[tuple[int, int], Motion] = {}  # before it
+        self._state = WorldState(engine)
+        self._last_step = LastStep(self._state)
+        self._energy = EnergyBalance(self._state)
+        exponent = None if fatigue is None else at_least(fatigue, 1.0, "fatigue")
+        self._verdicts = Verdicts(self._state, self._last_step, exponent)
+        self._replacement = Replacement(self._state, self._last_step, self._energy, self.settings)
 
-    @property
-    def time(self) -> float:
-        """s, simulated by step()."""
-        return self._time + self._steps * self._dt
+    # A step
 
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """The ids of the unbroken breakable bodies."""
-        self._forget_removed()
-        return tuple(body for body, record in self._activity.records.items() if record.generation == 0)
+    def step(self) -> list[FractureEvent]:
+        """Advance the simulation by one time step, and break what was struck hard enough.
 
-    @property
-    def pieces(self) -> tuple[int, ...]:
-        """The ids of the pieces of everything that broke."""
-        self._forget_removed()
-        return tuple(self._pieces)
+        Impacts on a body within 10 ms act together, as those on the corners of a flat landing. When it breaks, all
+        that contacts and constraints join to it goes back to before the step, and its pieces take its place: the next
+        step brings the impact again, and they live it. A force that lasts counts as the impulse of 1 ms of it,
+        without what the body's own weight takes.
+
+        Returns
+        -------
+        list of FractureEvent
+            One for each body that broke.
+
+        Raises
+        ------
+        PhysicsError
+            Where the client is no longer connected, or takes several substeps a step.
+        """
+        self._advance()
+        moved = self._energy.running() if self._state.pieces else None  # what breaks now has not moved yet
+        suspects = self._observe()
+        struck = self._predict_impacts(suspects) if suspects else []
+        breaks = self._verdicts.decide(struck) if struck else []
+        events = self._replacement.replace(breaks) if breaks else []
+        if self._state.pieces:
+            self._dissipate(moved)
+        return events
+
+    def _advance(self) -> None:
+        """Let the engine take its step."""
+        start = perf_counter() if self.times_engine else 0.0
+        try:
+            self._engine.step()
+        except BodyNotFound:
+            self._engine.require_connection()
+            raise
+        if self.times_engine:
+            self.engine_seconds = perf_counter() - start
+        if self._state.clock.tick():
+            self._read_clock()
+
+    def _read_clock(self) -> None:
+        if self._state.clock.read():
+            self._state.activity.wake_all()
+
+    def _observe(self) -> list[BodyRecord]:
+        """Find the breakable bodies that something may have struck, or presses on."""
+        activity, clock = self._state.activity, self._state.clock
+        if not activity.records:
+            return []
+        try:
+            suspects = activity.observe_step(clock.time_step, clock.gravity, clock.impact_speed_threshold)
+        except BodyNotFound:
+            self._state.forget_removed()
+            return []
+        if not suspects and activity.any_pressed:
+            suspects = activity.due_loads()
+        return suspects
+
+    def _predict_impacts(self, suspects: list[BodyRecord]) -> list[StruckBody]:
+        """Predict the impacts on the suspects and show them to the callbacks, but for those shown already."""
+        self._read_clock()
+        self._last_step.clear()
+        struck = self._verdicts.predict(suspects)
+        if not self._callbacks:
+            return struck
+        relived = self._replacement.relived
+        for callback in tuple(self._callbacks):
+            for body in struck:
+                for impact in body.impacts:
+                    if (impact.body, impact.other) not in relived:
+                        callback(impact)
+        self._state.forget_removed()  # callbacks may have removed bodies, and made others of the same ids
+        self._last_step.clear()
+        return struck
+
+    def _dissipate(self, moved: Running | None) -> None:
+        """Take from pieces what they gain by spinning and by standing in each other, and what their cracks demand.
+
+        It comes last, as what was before the next step follows from how this one left things.
+        """
+        activity, gyroscopic = self._state.activity, self._state.gyroscopic
+        for body, motion in gyroscopic.correct(self._state.clock.time_step):
+            activity.velocity_set(body, motion)
+        activity.unwatched_movers = gyroscopic.moving - activity.records.keys()
+        if moved is not None:
+            self._energy.settle(*moved)
+        self._replacement.refine()
+
+    # What somebody does to the world
 
     def add(
         self,
-        asset: BreakableAsset,
+        asset: BreakableObject,
         position: Vector = (0.0, 0.0, 0.0),
         orientation: Vector = (0.0, 0.0, 0.0, 1.0),
         linear_velocity: Vector = (0.0, 0.0, 0.0),
@@ -148,16 +241,41 @@ class World:
         linear_damping: float = 0.04,
         angular_damping: float = 0.04,
     ) -> int:
-        """Put an unbroken asset into the world -> its PyBullet body id.
+        """Put an unbroken asset into the world.
 
-        position, orientation (x, y, z, w): of the asset's frame. linear_velocity: of the centre of mass.
-        scale: of lengths; a scale of 2 is 8 times the mass.
-        linear_damping, angular_damping: share of the velocity lost per second. Pieces inherit these, since
-        the engine does not tell; friction and restitution they take from the body as it is when it breaks.
+        Parameters
+        ----------
+        asset : BreakableAsset or BreakableObject
+            What `fracsim.load` returns, or an object of one's own with the members of
+            `fracsim.physics.breakable.BreakableObject`.
+        position : sequence of float, shape (3,)
+            Of the asset's frame, m.
+        orientation : sequence of float, shape (4,)
+            Of the asset's frame, a quaternion (x, y, z, w); normalised here.
+        linear_velocity : sequence of float, shape (3,)
+            Of the centre of mass, m/s.
+        angular_velocity : sequence of float, shape (3,)
+            World frame, rad/s.
+        scale : float
+            Of lengths; a scale of 2 is 8 times the mass.
+        linear_damping, angular_damping : float
+            Share of the velocity lost per second. Pieces inherit these, since the engine does not tell; friction and
+            restitution they take from the body as it is when it breaks.
+
+        Returns
+        -------
+        int
+            Its PyBullet body id.
+
+        Raises
+        ------
+        PhysicsError
+            Where an argument is none of the above.
         """
         self._engine.require_connection()
-        if not hasattr(asset, "scaled"):
-            raise PhysicsError(f"add takes an asset, as fracsim.load gives it, not {asset!r}")
+        require_breakable(asset)
+        if self.settings.decomposition != "baked":
+            asset_of(asset)
         if not is_number(scale) or scale <= 0.0:
             raise PhysicsError(f"scale must be a positive number, got {scale!r}")
         if scale != 1.0:
@@ -175,65 +293,101 @@ class World:
             at_least(angular_damping, 0.0, "angular_damping"),
         )
         surface = ContactProperties(
-            friction=getattr(asset.material, "friction", 0.5),
-            restitution=getattr(asset.material, "restitution", 0.1),
-            margin=_MARGIN * asset.size,
+            friction=asset.material.friction,
+            restitution=asset.material.restitution,
+            margin=COLLISION_MARGIN * asset.size,
             linear_damping=damping[0],
             angular_damping=damping[1],
         )
-        try:
-            asset.prepare()
-        except Exception as error:  # the same as when it is to break
-            self._warn(asset, error)
+        self._verdicts.prepare(asset)
         [body] = spawn(self._engine, [asset], pose, surface, [WHOLE_COLOUR] if self.visuals else None)
-        self._forget(body.id)  # what somebody removed, and whose id this is now
-        self._activity.add(BodyRecord(body, asset, damping, asset.reach, asset.bearable_impulse / LOAD_DURATION))
+        self._state.forget(body.id)  # a body of this id that somebody removed
+        bearable_force = asset.bearable_impulse / LOAD_DURATION
+        self._state.activity.add(BodyRecord(body, asset, damping, asset.reach, bearable_force))
         return body.id
 
     def remove(self, body: int) -> None:
-        """Remove a breakable body or a piece that this world made."""
-        self._find(body)
+        """Remove a breakable body or a piece that this world made.
+
+        Parameters
+        ----------
+        body : int
+            Its id.
+        """
+        self._state.find(body)
         self._engine.remove_body(body)
-        self._forget(body)
+        self._state.forget(body)
 
-    def asset(self, body: int) -> BreakableAsset:
-        """The asset of an unbroken body, at the body's scale."""
-        self._find(body)
-        record = self._activity.records.get(body)
-        if record is None or record.generation:
-            raise PhysicsError(f"body {body} is a piece; only unbroken bodies, world.bodies, have an asset")
-        return record.breakable
+    def fracture(self, body: int, impulse: Impulse | Sequence[Impulse]) -> FractureEvent:
+        """Break a body or a piece on command.
 
-    def pose(self, body: int) -> tuple[FloatArray, FloatArray]:
-        """Position (3,) and orientation (x, y, z, w) of the asset's frame, of a body or of a piece."""
-        pose = self._find(body).pose_now(self._engine)
-        return pose.position, quaternion_of(pose.rotation)
+        The impulses decide the cracks and add no momentum: the pieces go on with the motion that the body has.
+
+        Parameters
+        ----------
+        body : int
+            Its id.
+        impulse : Impulse or sequence of Impulse
+            What acts on it, in its asset's frame (m, N·s).
+
+        Returns
+        -------
+        FractureEvent
+            What became of it; `children` is () where it held.
+
+        Raises
+        ------
+        PhysicsError
+            Where this world has no such body, or it is a piece that breaks no more.
+        """
+        self._engine.require_connection()
+        impulses = tuple(sorted(as_impulses(impulse), key=lambda one: -one.magnitude))
+        self._state.find(body)
+        record = self._state.records.get(body)
+        if record is None:
+            raise PhysicsError(f"body {body} is a piece that breaks no more: too small, or broken too often")
+        start = perf_counter()
+        fracture = self._verdicts.ask(record.breakable, impulses)
+        timings = {"impulse": 0.0, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
+        if fracture is None:
+            fracture = record.breakable.unbroken()
+        if len(fracture.pieces) < 2:
+            return FractureEvent(body, (), impulses, fracture, self.time, timings, generation=record.generation)
+        return self._replacement.replace_now(Break(record, impulses, fracture, frozenset(), timings))
 
     def wake(self, body: int | None = None) -> None:
         """Look at a body, or at all of them, in the next step whatever they do.
 
         A world leaves bodies alone that lie still or fly where nothing is, and knows the motion of others from its own
-        last step. Call this after what it cannot foresee and should tell at once: a velocity or a pose given to a body,
-        a saved state put back. Without it that is noticed some steps later.
-        """
-        self._forget_removed()
-        bodies = self._activity.records if body is None else [self._find(body).id]
-        for one in tuple(bodies):
-            if one in self._activity.records:
-                self._activity.wake(self._activity.records[one], look=True)
+        last step. Call this after what it cannot foresee and should notice at once: a velocity or a pose given to a
+        body, a saved state put back. Without it that is noticed some steps later.
 
-    def constraint(self, constraint: int) -> int:
-        """The id by which a constraint goes now. What held a body that broke holds one of its pieces, and the engine
-        gives that another id; it is its own as long as nothing of the sort has happened."""
-        while constraint in self._renamed:
-            constraint = self._renamed[constraint]
-        return constraint
+        Parameters
+        ----------
+        body : int, optional
+            Its id; None for all of them.
+        """
+        self._state.forget_removed()
+        activity = self._state.activity
+        for woken in tuple(activity.records) if body is None else (self._state.find(body).id,):
+            if woken in activity.records:
+                activity.wake(activity.records[woken], suspect_next=True)
 
     def on_contact(self, callback: ContactCallback) -> Callable[[], None]:
-        """Call back with each hit on a breakable body, before it breaks -> a function that ends it.
+        """Call back with each impact on a breakable body, before it breaks.
 
-        A hit is a contact that closes faster than max(0.1 m/s, 3 g dt), and whatever else the body leans
-        on at that moment. The callback may add and remove bodies.
+        An impact is a contact that closes faster than max(0.1 m/s, 3 g dt), and whatever else the body leans
+        on at that moment.
+
+        Parameters
+        ----------
+        callback : callable
+            Takes a ContactImpulse. It may add and remove bodies.
+
+        Returns
+        -------
+        callable
+            Ends it.
         """
         self._callbacks.append(callback)
 
@@ -243,515 +397,75 @@ class World:
 
         return unregister
 
-    def step(self) -> list[FractureEvent]:
-        """Advance the simulation by one time step and break what was hit hard enough -> what broke.
+    # What somebody asks of it
 
-        Hits on a body within 10 ms act together, as those on the corners of a flat landing. When it breaks, all
-        that contacts and constraints join to it goes back to before the step, and the next one is lived by the pieces
-        in its place. A force that lasts counts as the impulse of 1 ms of it, without what the body's own weight takes.
+    @property
+    def time(self) -> float:
+        """Time simulated by `step`, s."""
+        return self._state.clock.time
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """Ids of the unbroken breakable bodies."""
+        self._state.forget_removed()
+        return tuple(body for body, record in self._state.records.items() if record.generation == 0)
+
+    @property
+    def pieces(self) -> tuple[int, ...]:
+        """Ids of the pieces of everything that broke."""
+        self._state.forget_removed()
+        return tuple(self._state.pieces)
+
+    def asset(self, body: int) -> BreakableObject:
+        """Give the asset of an unbroken body, at the body's scale.
+
+        Parameters
+        ----------
+        body : int
+            Its id.
+
+        Returns
+        -------
+        BreakableAsset or BreakableObject
+            What was given to `add`, scaled.
         """
-        engine, activity = self._engine, self._activity
-        try:
-            engine.step()
-        except BodyNotFound:
-            engine.require_connection()
-            raise
-        self._steps += 1
-        if self._steps == _CLOCK:
-            self._read_clock()
-        parting, cooling = tuple(self._parting), tuple(self._cooling)  # what breaks now has not moved yet
-        events = self._look() if activity.records else []
-        if self._pieces:  # last, as what was before the step follows from how it left things
-            for body, motion in self._spin.hold(self._dt):
-                activity.velocity_set(body, motion)
-            activity.unwatched_movers = self._spin.moving - activity.records.keys()
-            if parting:
-                self._part(parting)
-            if cooling:
-                self._cool(cooling)
-            if self._refining:
-                self._refine()
-        return events
+        self._state.find(body)
+        record = self._state.records.get(body)
+        if record is None or record.generation:
+            raise PhysicsError(f"body {body} is a piece; only unbroken bodies, world.bodies, have an asset")
+        return cast(BreakableObject, record.breakable)  # as `add` took it
 
-    def _look(self) -> list[FractureEvent]:
-        activity = self._activity
-        try:
-            suspects = activity.observe_step(self._dt, self._gravity, self._least)
-        except BodyNotFound:
-            self._forget_removed()
-            return []
-        if not suspects and activity.any_pressed:
-            suspects = activity.due_loads()
-        told = self._told
-        if told:
-            self._told = frozenset()
-        if not suspects:
-            return []
-        self._read_clock()
-        self._touches = None
-        self._motions.clear()
-        return self._judge(suspects, told)
+    def pose(self, body: int) -> tuple[FloatArray, FloatArray]:
+        """Give the pose of the asset's frame, of a body or of a piece.
 
-    def _read_clock(self) -> None:
-        """The time step and gravity, which somebody may have changed. Asking every time would cost a tenth of what
-        the watching does."""
-        self._time, self._steps = self.time, 0
-        known = self._dt, self._gravity
-        self._dt, self._gravity = self._engine.clock()
-        if (self._dt, self._gravity) != known:
-            self._least = impact_speed_threshold(self._dt, self._gravity)
-            self._activity.wake_all()
+        Parameters
+        ----------
+        body : int
+            Its id.
 
-    def fracture(self, body: int, impulse: Impulse | Sequence[Impulse]) -> FractureEvent:
-        """Break a body or a piece on command, with impulses in its asset's frame -> the event; children () if it held.
-
-        The impulses decide the cracks and add no momentum: the pieces go on with the motion the body has.
+        Returns
+        -------
+        position : ndarray of float64, shape (3,)
+            Of the frame's origin, m.
+        orientation : ndarray of float64, shape (4,)
+            Unit quaternion (x, y, z, w).
         """
-        engine = self._engine
-        engine.require_connection()
-        impulses = tuple(sorted(as_impulses(impulse), key=lambda one: -one.magnitude))
-        self._find(body)
-        record = self._activity.records.get(body)
-        if record is None:
-            raise PhysicsError(f"body {body} is a piece that breaks no more: too small, or broken too often")
-        start = perf_counter()
-        fracture = self._ask(record, impulses)
-        timings = {"impulse": 0.0, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
-        if fracture is None:
-            fracture = record.breakable.unbroken()
-        if len(fracture.pieces) < 2:
-            return FractureEvent(body, (), impulses, fracture, self.time, timings, generation=record.generation)
-        state = BodyState(body, engine.placement(body), engine.motion(body))
-        event = self._replace(_Break(record, impulses, fracture, frozenset(), timings), state)
-        self._save()
-        return event
+        pose = self._state.find(body).pose_now(self._engine)
+        return pose.position, quaternion_of(pose.rotation)
 
-    # From contacts to what breaks
+    def constraint(self, constraint: int) -> int:
+        """Give the id by which a constraint goes now.
 
-    def _judge(self, suspects: list[BodyRecord], told: frozenset[tuple[int, int]]) -> list[FractureEvent]:
-        struck = []
-        queue, done = list(suspects), set()
-        pressed = [record for record in suspects if record.load_due]
-        for record in pressed:
-            record.load_due = False
-        for record in queue:  # grows while it runs
-            body = record.body.id
-            if body in done:
-                continue
-            done.add(body)
-            if not self._engine.is_marked(body, record.body.token):
-                self._forget(body)
-                continue
-            if self._is_spared(record):
-                continue
-            start = perf_counter()
-            hits = self._hits_on(record, record in pressed)
-            queue += [self._activity.records[hit.other] for hit in hits if hit.other in self._activity.records]
-            if self.time < record.immune_until:
-                hits = [hit for hit in hits if hit.other not in record.immune_to]
-            if hits:
-                struck.append((record, hits, 1e3 * (perf_counter() - start)))
-        for callback in tuple(self._callbacks):
-            for _, hits, _ in struck:
-                for hit in hits:
-                    if (hit.body, hit.other) not in told:
-                        callback(hit)
-        if self._callbacks:  # which may have removed bodies, and made others of the same ids
-            self._forget_removed()
-            self._touches = None
-            self._motions.clear()
-        breaks = []
-        for record, hits, elapsed in struck:
-            if self._activity.records.get(record.body.id) is record:
-                found = self._try(record, hits, elapsed)
-                if found is not None:
-                    breaks.append(found)
-        if not breaks:
-            return []
-        events = self._exchange(breaks)
-        self._save()
-        return events
+        What held a body that broke holds one of its pieces, and the engine gives that another id.
 
-    def _is_spared(self, record: BodyRecord) -> bool:
-        """Whether all that touches a body was in the break that it came of, and neither may break the other yet."""
-        if self.time >= record.immune_until:
-            return False
-        contacts = self._activity.contacts_of(record.body.id)
-        for other, _ in contacts.others if contacts is not None else ():
-            known = self._activity.records.get(other)
-            if other not in record.immune_to or (
-                known is not None and (self.time >= known.immune_until or record.body.id not in known.immune_to)
-            ):
-                return False
-        return True
+        Parameters
+        ----------
+        constraint : int
+            An id that it had.
 
-    def _hits_on(self, record: BodyRecord, loaded: bool) -> list[ContactImpulse]:
-        engine, body = self._engine, record.body
-        contacts = record.lightest_contacts if loaded else self._activity.contacts_of(body.id)
-        if contacts is None:
-            return []
-        placement = engine.placement_before(body.id, self._dt)
-        if loaded:
-            return sustained_impulses(engine, body, contacts, placement, self._gravity)
-        return predict_impacts(engine, body, contacts, placement, self._motion_before, self._dt, self._gravity)
-
-    def _try(self, record: BodyRecord, hits: list[ContactImpulse], elapsed: float) -> _Break | None:
-        """Whether the hits, one after the other and with those just before, break the body."""
-        target = record.breakable
-        record.recent_impacts = earlier = [
-            (when, hit) for when, hit in record.recent_impacts if when > self.time - IMPACT_WINDOW
-        ]
-        strongest = 0.0  # of those that come together and are no repetitions
-        start = perf_counter()
-        for k, hit in enumerate(hits):
-            when = self.time + hit.delay
-            same = [
-                old
-                for _, old in earlier
-                if old.other == hit.other
-                and np.linalg.norm(old.impulse.point - hit.impulse.point) < _SAME_PLACE * target.size
-                and old.impulse.direction @ hit.impulse.direction > 0.8
-            ]
-            if not any(old.impulse.magnitude >= hit.impulse.magnitude for old in same):
-                record.recent_impacts = [entry for entry in record.recent_impacts if entry[1] not in same] + [
-                    (when, hit)
-                ]
-                strongest = max(strongest, hit.impulse.magnitude)
-            if (k + 1 < len(hits) and hits[k + 1].delay == hit.delay) or strongest == 0.0:
-                continue
-            strongest = 0.0
-            acting = sorted((one.impulse for _, one in record.recent_impacts), key=lambda one: -one.magnitude)
-            impulses = tuple(self._worn(record, acting))
-            if not target.may_break(impulses):
-                continue
-            fracture = self._ask(record, impulses)
-            if fracture is not None and len(fracture.pieces) > 1:
-                timings = {"impulse": elapsed, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
-                return _Break(record, impulses, fracture, frozenset(one.other for one in hits), timings)
-        if self.fatigue is not None and record.recent_impacts:
-            self._tire(record)
-        return None
-
-    def _worn(self, record: BodyRecord, impulses: list[Impulse]) -> list[Impulse]:
-        """The impulses as they act on a body that impacts have weakened."""
-        if record.damage == 0.0:
-            return impulses
-        left = max(1.0 - record.damage, 1e-6)
-        return [Impulse(one.point, one.direction, one.magnitude / left) for one in impulses]
-
-    def _tire(self, record: BodyRecord) -> None:
-        """Add what the hits of this step that broke nothing did (Miner's rule), once each."""
-        impulses = [hit.impulse for when, hit in record.recent_impacts if when >= self.time and not hit.sustained]
-        if not impulses or self.fatigue is None:
-            return
-        low, high = 1.0, 1.0
-        while high < 1e3 and not self._breaks(record, impulses, high):
-            low, high = high, 2.0 * high
-        for _ in range(5):
-            middle = (low * high) ** 0.5
-            low, high = (low, middle) if self._breaks(record, impulses, middle) else (middle, high)
-        record.damage_before = self.time, record.damage
-        record.damage = min(1.0, record.damage + high**-self.fatigue)
-
-    def _breaks(self, record: BodyRecord, impulses: Sequence[Impulse], factor: float) -> bool:
-        impacts = tuple(Impulse(one.point, one.direction, one.magnitude * factor) for one in impulses)
-        if not record.breakable.may_break(impacts):
-            return False
-        fracture = self._ask(record, impacts)
-        return fracture is not None and len(fracture.pieces) > 1
-
-    def _ask(self, record: BodyRecord, impulses: tuple[Impulse, ...]) -> Fracture | None:
-        """The model's answer; None, and one warning for each model, when it has none that makes sense."""
-        try:
-            return record.breakable.fracture(impulses)
-        except Exception as error:  # whatever somebody's model raises
-            self._warn(record.breakable, error)
-            return None
-
-    def _warn(self, target: BreakableAsset | BreakablePiece, error: Exception) -> None:
-        """Say once of a model that it fails."""
-        what = target.name, f"{type(error).__name__}: {error}"
-        if what not in self._warned:
-            self._warned.add(what)
-            warnings.warn(f"{what[0]} does not break: its model failed ({what[1]})", RuntimeWarning, stacklevel=5)
-
-    # How things moved before the step
-
-    def _motion_before(self, body: int, link: int) -> Motion:
-        """As kept, or where it was not, or somebody has changed it since, as the contacts tell."""
-        if (body, link) not in self._motions:
-            self._motions[body, link] = self._motion_found(body, link)
-        return self._motions[body, link]
-
-    def _motion_found(self, body: int, link: int) -> Motion:
-        kept = self._activity.motion_before(body, link)
-        if link >= 0 or self._engine.is_articulated(body):
-            return self._engine.link_motion(body, link) if kept is None else kept
-        if self._engine.is_static(body):
-            return self._engine.motion(body)
-        if kept is not None and self._tied(body):
-            return kept
-        told = velocity_before_step(
-            self._engine,
-            body,
-            self._engine.placement_before(body, self._dt),
-            self._all_touches(),
-            self._dt,
-            self._gravity,
-        )
-        if kept is None:
-            return told
-        linear, angular = kept
-        if _differ(told[0], linear, 0.02 * self._least, 1e-3, told[0]):
-            return told
-        # Contacts tell less exactly of spin, the more so the more they change it.
-        arm = self._activity.records[body].reach if body in self._activity.records else 0.1
-        if _differ(told[1], angular, 0.1 * self._least / arm, 0.1, told[1], angular, self._engine.motion(body)[1]):
-            angular = told[1]
-        return linear, angular
-
-    def _all_touches(self) -> ContactForces:
-        if self._touches is None:
-            self._touches = self._engine.contact_forces()
-        return self._touches
-
-    def _tied(self, body: int) -> bool:
-        return any(body in (info[0], info[2]) for _, info in self._engine.constraints())
-
-    # The swap
-
-    def _exchange(self, breaks: list[_Break]) -> list[FractureEvent]:
-        """Put everything that the impacts reached back to before the step, and pieces in place of what broke."""
-        engine, activity, dt = self._engine, self._activity, self._dt
-        start = perf_counter()
-        ties = [(info[0], info[2]) for _, info in engine.constraints() if info[2] >= 0]
-        broken = {one.record.body.id: one for one in breaks}
-        reached = contact_island([*self._all_touches().bodies.tolist(), *ties], broken, engine.is_static)
-        states = {
-            body: engine.state_before(body, self._motion_before(body, -1), activity.joint_rates_before(body), dt)
-            for body in reached
-        }
-        told = set()
-        for body, state in states.items():
-            if body in broken:
-                continue
-            engine.restore(state)
-            activity.body_restored(state)
-            self._spin.changed(body, state.motion[1])
-            record = activity.records.get(body)
-            if record is not None:
-                told |= {(body, hit.other) for when, hit in record.recent_impacts if when >= self.time}
-                record.recent_impacts = [entry for entry in record.recent_impacts if entry[0] < self.time]
-                if record.damage_before[0] >= self.time:
-                    record.damage = record.damage_before[1]
-        self._told = frozenset(told)
-        rewinding = 1e3 * (perf_counter() - start)
-        events = []
-        for one in breaks:
-            one.timings["bodies"] = rewinding / len(breaks)
-            one.others |= frozenset(reached)
-            events.append(self._replace(one, states[one.record.body.id]))
-        self._parting = [one for one in self._parting if {body.id for body in one.bodies}.isdisjoint(reached)]
-        others = [body for body in reached if body not in broken]
-        if not any(map(engine.is_articulated, others)):
-            start = perf_counter()
-            self._parting.append(self._parting_of(breaks, events, others, states))
-            breaks[0].timings["bodies"] += 1e3 * (perf_counter() - start)
-        return events
-
-    def _parting_of(
-        self, breaks: list[_Break], events: list[FractureEvent], others: list[int], states: dict[int, BodyState]
-    ) -> PenetrationGuard:
-        """Of the pieces of some breaks, and what they shall live the step with."""
-        pieces: list[Body] = []
-        before: list[Body] = []  # whose energy the pieces have
-        for what, event in zip(breaks, events, strict=True):
-            own = [self._pieces[child] for child in event.children]
-            pieces += own
-            body, mass = what.record.body, sum(piece.mass for piece in own)
-            before.append(replace(body, mass=mass, moments=body.moments * mass / body.mass))
-        rest = []
-        for other in others:
-            rigid = self._engine.rigid_body(other, -1)
-            rest.append(Body(other, "", rigid.mass, np.zeros(3), np.eye(3), rigid.moments))
-        known = [states[body.id] for body in (*before, *rest)]
-        then = RigidStates.of([*before, *rest], [one.placement for one in known], [one.motion for one in known])
-        return PenetrationGuard([*pieces, *rest], then.energy(self._gravity), self.time + GUARD_TIME)
-
-    def _part(self, those: Sequence[PenetrationGuard]) -> None:
-        """Take what energy pieces have made by getting out of each other."""
-        for one in those:
-            if one not in self._parting:  # they live the step anew
-                continue
-            try:
-                motions = one.stills(self._engine, self._gravity)
-            except BodyNotFound:
-                self._forget_removed()
-                motions, one.until = None, 0.0
-            if motions is not None:
-                for body, motion in zip(one.bodies, motions, strict=True):
-                    self._activity.velocity_set(body.id, motion)
-                    self._spin.changed(body.id, motion[1])
-            if self.time >= one.until:
-                self._parting.remove(one)
-
-    def _replace(self, what: _Break, state: BodyState) -> FractureEvent:
-        """Swap a body for its pieces at the state given."""
-        engine, record, fracture = self._engine, what.record, what.fracture
-        start = perf_counter()
-        parent = record.body
-        pose = parent.pose(state.placement, state.motion)
-        surface = engine.contact_properties(parent.id, *record.damping)
-        ties = [tie for tie in engine.constraints() if parent.id in (tie[1][0], tie[1][2])]
-        solids, asset = fracture.pieces, getattr(record.breakable, "asset", record.breakable)
-        if self.decomposition == "coacd":
-            solids = refined_now(asset, solids)
-        # Somebody may have given the body another mass; a static one's pieces have what its material makes them.
-        heavier = (engine.mass(parent.id) or parent.mass) / parent.mass
-        pieces = spawn(engine, solids, pose, surface, PIECE_COLOURS if self.visuals else None, heavier)
-        parts = [piece.convex_parts for piece in solids]
-        renamed = {
-            tie[0]: self._rename(tie[0], transfer_constraint(engine, tie, parent, pieces, parts)) for tie in ties
-        }
-        engine.remove_body(parent.id)  # after the pieces, so that none of them gets its id
-        self._activity.forget(parent.id)
-        self._activity.tokens.pop(parent.id, None)
-        children = tuple(piece.id for piece in pieces)
-        immune = what.others | frozenset(children)
-        generation = record.generation + 1
-        for piece, solid in zip(pieces, fracture.pieces, strict=True):
-            self._forget(piece.id)
-            self._pieces[piece.id] = piece
-            self._damping[piece.id] = record.damping
-            self._activity.tokens[piece.id] = piece.token
-            if generation < self.generations and len(solid.atoms) > 1:
-                fragment = record.breakable.breakable_piece(solid)
-                if fragment.domain.share >= self.smallest:
-                    bearable = fragment.bearable_impulse / LOAD_DURATION
-                    watched = BodyRecord(piece, fragment, record.damping, fragment.reach, bearable, generation)
-                    watched.immune_to, watched.immune_until = immune, self.time + _AFTER
-                    self._activity.add(watched)
-        self._pieces.pop(parent.id, None)
-        self._damping.pop(parent.id, None)
-        if self.decomposition == "background":
-            self._refining.append(Refinement.begun(asset, solids, pieces, self.time + self.refine_after))
-        self._spin.drop(parent.id)
-        self._spin.add(pieces, state.motion[1])
-        energy = CrackEnergy(record.breakable.material.fracture_energy * fracture.crack_area)
-        self._cooling.append(Dissipation(energy, pieces, self.time + DISSIPATION_TIME))
-        timings = what.timings
-        timings["bodies"] += 1e3 * (perf_counter() - start)
-        return FractureEvent(
-            parent.id, children, what.impulses, fracture, self.time, timings, energy, record.generation, renamed
-        )
-
-    def _rename(self, constraint: int, new: int) -> int:
-        self._renamed.pop(new, None)  # of before a reset
-        self._renamed[constraint] = new
-        return new
-
-    def _cool(self, those: Sequence[Dissipation]) -> None:
-        """Let cracks take their energy from how their pieces have come to move."""
-        for one in those:
-            one.pieces = [
-                piece
-                for piece in one.pieces  # ids come again
-                if self._pieces.get(piece.id) is piece and self._engine.is_marked(piece.id, piece.token)
-            ]
-            demand = one.energy.demand - one.energy.taken
-            if self.time > one.until or demand <= 0.0 or len(one.pieces) < 2:
-                self._cooling.remove(one)
-                continue
-            try:
-                taken, motions = dissipate(self._engine, one.pieces, demand)
-            except BodyNotFound:
-                self._forget_removed()
-                continue
-            one.energy.taken += taken
-            if taken > 0.0:
-                for piece, motion in zip(one.pieces, motions, strict=True):
-                    self._activity.velocity_set(piece.id, motion)
-                    self._spin.changed(piece.id, motion[1])
-
-    def _refine(self) -> None:
-        """Give pieces that are due the convex parts that were made for them meanwhile."""
-        for one in tuple(self._refining):
-            if self.time < one.due:
-                continue
-            self._refining.remove(one)
-            self._forget_removed()
-            for k, (solid, old) in enumerate(zip(one.refined(), one.bodies, strict=True)):
-                if self._pieces.get(old.id) is old:
-                    self._reshape(solid, old, k)
-
-    def _reshape(self, solid: Piece, old: Body, index: int) -> None:
-        """The same piece, of the same id and motion, in another shape."""
-        engine = self._engine
-        pose, surface = old.pose_now(engine), engine.contact_properties(old.id, *self._damping[old.id])
-        motion = engine.motion(old.id)
-        ties = [tie for tie in engine.constraints() if old.id in (tie[1][0], tie[1][2])]
-        for constraint, _ in ties:
-            engine.remove_constraint(constraint)
-        engine.remove_body(old.id)
-        colors = [PIECE_COLOURS[index % len(PIECE_COLOURS)]] if self.visuals else None
-        [body] = spawn(engine, [solid], pose, surface, colors)
-        if body.id != old.id:  # the engine hands out the id that was freed last
-            raise PhysicsError(f"piece {old.id} came back as {body.id}; use decomposition='baked'")
-        for constraint, info in ties:
-            self._rename(constraint, engine.create_constraint(info))
-        self._pieces[body.id] = body
-        for cooling in self._cooling:
-            cooling.pieces = [body if piece is old else piece for piece in cooling.pieces]
-        self._activity.tokens[body.id] = body.token
-        self._spin.add([body], motion[1])
-        record = self._activity.records.get(body.id)
-        if record is not None:
-            record.body = body
-            self._activity.wake(record)
-
-    def _save(self) -> None:
-        """Remove the smallest and stillest pieces while there are more than the budget allows."""
-        excess = 0 if self.budget is None else len(self._pieces) - self.budget
-        if excess <= 0:
-            return
-        self._forget_removed()
-
-        def liveliness(body: int) -> float:
-            return self._pieces[body].mass * (0.1 + float(np.linalg.norm(self._engine.motion(body)[0])))
-
-        for body in sorted(self._pieces, key=liveliness)[:excess]:
-            self._engine.remove_body(body)
-            self._forget(body)
-
-    # Who is there
-
-    def _find(self, body: int) -> Body:
-        self._forget_removed()
-        if body in self._activity.records:
-            return self._activity.records[body].body
-        if body in self._pieces:
-            return self._pieces[body]
-        raise PhysicsError(
-            f"body {body} is not in this world; it has {sorted({*self._activity.records, *self._pieces}) or 'none'}"
-        )
-
-    def _forget(self, body: int) -> None:
-        self._activity.forget(body)
-        self._activity.tokens.pop(body, None)
-        self._spin.drop(body)
-        self._damping.pop(body, None)
-        self._pieces.pop(body, None)
-
-    def _forget_removed(self) -> None:
-        """Drop the records of bodies that somebody else took out of the engine."""
-        self._engine.require_connection()
-        bodies = {body: record.body for body, record in self._activity.records.items()} | self._pieces
-        for body, known in bodies.items():
-            if not self._engine.is_marked(body, known.token):
-                self._forget(body)
-
-
-def _differ(a: Triple, b: Triple, least: float, share: float, *scales: Triple) -> bool:
-    """Whether two vectors differ by more than ``least`` and a share of the largest that it is measured by."""
-    size = max(abs(x) for scale in scales for x in scale)
-    return max(abs(x - y) for x, y in zip(a, b, strict=True)) > least + share * size
+        Returns
+        -------
+        int
+            Its present id; the same where it held nothing that broke.
+        """
+        return self._replacement.constraint(constraint)

@@ -80,7 +80,8 @@ class WorldState:
             return self.records[body].body
         if body in self.pieces:
             return self.pieces[body]
-        raise PhysicsError(f"body {body} is not in this world; it has {sorted({*self.records, *self.pieces}) or 'none'}")
+        known = sorted({*self.records, *self.pieces}) or "none"
+        raise PhysicsError(f"body {body} is not in this world; it has {known}")
 
     def add_piece(self, piece: Body, damping: tuple[float, float]) -> None:
         """Take a new piece in, in place of whatever had its id.

@@ -29,8 +29,8 @@ impulse = next(one for one in asset.sample_impulses(100, 5) if len(asset.fractur
 event = world.fracture(body, impulse)
 before = [len(pybullet.getCollisionShapeData(child, -1)) for child in event.children]
 if sys.argv[1] == "waits":
-    while convex_worker.worker(os.getpid())._process is None: time.sleep(0.01)
-    print(convex_worker.worker(os.getpid())._process.pid, flush=True)
+    while convex_worker.worker(os.getpid()).process is None: time.sleep(0.01)
+    print(convex_worker.worker(os.getpid()).process.pid, flush=True)
     time.sleep(60)
 for _ in range(60):
     world.step()
@@ -116,17 +116,17 @@ def running(process):
 
 
 def started(worker):
-    while worker._process is None or worker._process.poll() is not None:
+    while worker.process is None or worker.process.poll() is not None:
         time.sleep(0.01)
-    return worker._process
+    return worker.process
 
 
 def test_a_worker_that_is_killed_leaves_the_baked_parts_and_one_warning(slab):
     baked = run(slab, "baked")[2]
     worker = convex_worker.worker(os.getpid())
-    if worker._process is not None:
-        worker._process.kill()
-        worker._process.wait()
+    if worker.process is not None:
+        worker.process.kill()
+        worker.process.wait()
     client = p.connect(p.DIRECT)
     world = fracsim.World(client, decomposition="background", refine_after=0.1)
     impulse = next(one for one in slab.sample_impulses(100, 5) if 2 <= len(slab.fracture(one).pieces) <= 4)
@@ -140,11 +140,38 @@ def test_a_worker_that_is_killed_leaves_the_baked_parts_and_one_warning(slab):
     assert run(slab, "background")[2] == run(slab, "coacd")[2]  # by another one
 
 
-def test_what_fails_in_the_worker_is_told_by_a_warning(slab):
-    [piece, *_] = slab.fracture(slab.sample_impulses(1, 5)[0]).pieces
-    surfaces, pairs, normals = live_convex.decomposition_task(slab, [piece])
-    worker = convex_worker.worker(os.getpid())
-    broken = worker.submit(([(surfaces[0][0], surfaces[0][1][:, :2])], pairs, normals))
-    refinement = live_convex.Refinement(slab, (piece,), [], 0.0, broken)
-    with pytest.warns(RuntimeWarning, match=r"not decomposed in the background \(\w+: .*baked parts are kept"):
+def submitted(asset, change):
+    """The decomposition of one piece, changed, in the background -> what waits for it, and the piece."""
+    [piece, *_] = asset.fracture(asset.sample_impulses(1, 5)[0]).pieces
+    [(vertices, faces)], pairs, normals = live_convex.decomposition_task(asset, [piece])
+    future = convex_worker.worker(os.getpid()).submit(([change(vertices, faces)], pairs, normals))
+    return live_convex.Refinement(asset, (piece,), [], 0.0, future), piece
+
+
+def test_what_a_library_refuses_in_the_worker_leaves_the_baked_parts_and_a_warning(slab):
+    refinement, piece = submitted(slab, lambda vertices, faces: (vertices * [1, 1, 0], faces))  # flat
+    with pytest.warns(RuntimeWarning, match=r"not decomposed \(.*\) in the background; baked parts are kept"):
         assert refinement.refined() == (piece,)
+
+
+def test_a_fault_in_the_worker_s_code_surfaces_with_its_traceback(slab):
+    refinement, _ = submitted(slab, lambda vertices, faces: (vertices, faces[:, :2]))
+    with pytest.raises(RuntimeError, match=r"(?s)worker that decomposes pieces failed:\nTraceback .*AssertionError"):
+        refinement.refined()
+
+
+@pytest.mark.parametrize("error", [RuntimeError("from C++"), fracsim.BakeError("no part is left")])
+def test_a_decomposition_that_fails_at_once_leaves_the_baked_parts_and_a_warning(slab, monkeypatch, error):
+    def fail(*arguments):
+        raise error
+
+    monkeypatch.setattr("fracsim.solids.convex.separate", fail)
+    pieces = slab.fracture(slab.sample_impulses(1, 5)[0]).pieces
+    with pytest.warns(RuntimeWarning, match="baked parts are kept"):
+        assert live_convex.refined_now(slab, pieces) == pieces
+
+
+def test_a_fault_in_the_code_of_a_decomposition_surfaces(slab, monkeypatch):
+    monkeypatch.setattr("fracsim.solids.convex.separate", lambda *arguments: None + 1)
+    with pytest.raises(TypeError, match="unsupported operand"):
+        live_convex.refined_now(slab, slab.fracture(slab.sample_impulses(1, 5)[0]).pieces)

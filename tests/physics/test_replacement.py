@@ -18,7 +18,7 @@ from fracsim.physics.bullet import Engine
 from fracsim.physics.energy import PenetrationGuard, RigidStates, dissipate
 from fracsim.physics.replacement import contact_island
 from fracsim.physics.rotations import integrate_rotation
-from fracsim.physics.spin import TURN, GyroscopicCorrection
+from fracsim.physics.spin import SETTINGS, GyroscopicCorrection
 
 
 @pytest.fixture
@@ -245,7 +245,7 @@ def test_what_the_engine_makes_of_depth_is_taken_from_the_bodies_again(client, g
     momentum, most = mechanics(client, ids)[1], 0.0
     for _ in range(100):
         p.stepSimulation(physicsClientId=client)
-        parting.stills(engine, down)
+        parting.take_gain(engine, down)
         most = max(most, RigidStates.now(engine, bodies).energy(down) - start)
     assert most < 1e-6
     np.testing.assert_allclose(mechanics(client, ids)[1][:2], momentum[:2], atol=1e-12)
@@ -259,7 +259,7 @@ def test_energy_that_comes_from_outside_is_left_to_the_pieces(client):
     body = Body(one, "", 1.0, np.zeros(3), np.eye(3), np.full(3, 1 / 6))
     parting = PenetrationGuard([body], 0.0, 1.0)
     p.stepSimulation(physicsClientId=client)
-    assert parting.stills(engine, (0.0, 0.0, 0.0)) is None
+    assert parting.take_gain(engine, (0.0, 0.0, 0.0)) is None
     assert p.getBaseVelocity(one, physicsClientId=client)[0][2] < -1.0
     assert p.getBaseVelocity(hammer, physicsClientId=client)[0][2] > -5.0
 
@@ -281,17 +281,33 @@ def test_a_shard_that_spins_keeps_its_angular_momentum_and_gains_no_energy(clien
     engine = Engine(client)
     guard = GyroscopicCorrection(engine)
     guard.add([Body(shard, engine.mark(shard), 0.1, np.zeros(3), np.eye(3), moments)], tuple(spin))
-    guard.hold(1 / rate)  # in the step in which it comes to be
+    guard.correct(1 / rate)  # in the step in which it comes to be
     *_, angular, _, energy = mechanics(client, [shard])
     for _ in range(rate):
         p.stepSimulation(physicsClientId=client)
-        guard.hold(1 / rate)
+        guard.correct(1 / rate)
         *_, now, _, left = mechanics(client, [shard])
         assert left <= energy * (1 + 2e-3)
-        if speed < TURN * rate:
+        if speed < SETTINGS.largest_turn * rate:
             assert np.linalg.norm(now - angular) < (2e-3 if speed < 0.5 * rate else 2e-2) * np.linalg.norm(angular)
     linear, _ = p.getBaseVelocity(shard, physicsClientId=client)
     np.testing.assert_allclose(linear, (1, 0, 0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("speed", "spin", "is_still"),
+    [(0.008, 0.08, True), (0.011, 0.0, False), (0.0, 0.11, False), (0.0, 0.08, True)],
+)
+def test_a_piece_lies_still_below_a_limit_of_speed_and_one_of_spin(client, speed, spin, is_still):
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.02, 0.03, 0.01), physicsClientId=client)
+    piece = p.createMultiBody(0.1, shape, -1, physicsClientId=client)
+    p.resetBaseVelocity(piece, (speed, 0, 0), (0, 0, spin), physicsClientId=client)
+    engine = Engine(client)
+    guard = GyroscopicCorrection(engine)
+    guard.add([Body(piece, engine.mark(piece), 0.1, np.zeros(3), np.eye(3), np.ones(3))], (0.0, 0.0, spin))
+    for _ in range(3):
+        guard.correct(1 / 240)
+    assert guard.moving == (set() if is_still else {piece})
 
 
 @given(st.lists(st.floats(-50, 50), min_size=3, max_size=3), st.floats(-1, 1), st.integers(0, 2**32 - 1))
