@@ -203,7 +203,7 @@ def measure(quick: bool, seed: int, progress: Callable[[float], None], work: Pat
         processes = [_in_process("events", source, shots, seed)]
         further = range(1, QUICK_PROCESSES if quick else PROCESSES)
         processes += [_in_process("events", source, FIRST_SHOTS, seed + number) for number in further]
-        result["meshes"][name] = _summary(processes) | {"vertices": load(source).vertex_count}
+        result["meshes"][name] = summary_of(processes) | {"vertices": load(source).vertex_count}
         progress((done + 1) / (len(meshes) + 1))
     times = _in_process("thesis", "bunny", QUICK_THESIS_BREAKS if quick else THESIS_BREAKS, seed)
     total = np.array(times["prediction"]) + np.array(times["segmentation"])
@@ -225,8 +225,19 @@ def _in_process(function: str, source: str, count: int, seed: int) -> dict[str, 
     return json.loads(process.stdout.splitlines()[-1])
 
 
-def _summary(processes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Summarise the breaks of one mesh; each process counts with its first break, the first one with all."""
+def summary_of(processes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise the breaks of one mesh.
+
+    Parameters
+    ----------
+    processes : list of dict
+        What ``events`` returned in each process. The first process counts with all its breaks, each with its first.
+
+    Returns
+    -------
+    dict
+        Plain data.
+    """
     rows = np.array(processes[0]["rows"])
     first = [process["rows"][0][0] for process in processes if process["rows"]]
     whole = rows[:, 0]
