@@ -303,7 +303,7 @@ class BreakableAsset:
         return BreakablePiece(self, piece)
 
     def prepare(self) -> None:
-        """Work out all that a first break would otherwise wait for; ``World.add`` calls it. Done once for all sizes."""
+        """Work out all that a first break would otherwise wait for, once for all sizes; ``World.add`` calls it."""
         if not self.arrays.prepared:
             nothing = Impulse(self.vertices[0], np.array([0.0, 0.0, 1.0]), 0.0)
             self.query.fracture([nothing], skip_weak=False)
@@ -313,9 +313,8 @@ class BreakableAsset:
     def sample_impulses(self, count: int, seed: int | np.random.Generator) -> list[Impulse]:
         """Draw single impulses that break it about as often as not.
 
-        Points are uniform over the area, directions lie in a cone about the inward normal, and magnitudes are 0.3 to 5
-        times what first breaks the body at that point in that direction. Where the asset does not carry its simulator,
-        they are as many times what typically breaks it.
+        Points are uniform over the area and directions lie in a cone about the inward normal. Magnitudes are 0.3 to 5
+        times what first breaks the body there, or what typically does where the asset does not carry its simulator.
 
         Parameters
         ----------
