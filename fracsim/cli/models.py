@@ -129,8 +129,9 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
 
     from ..common.progress import Stages
     from ..data.dataset import Dataset
+    from ..learning import model_class
     from ..learning.body import BodyGeometry
-    from ..learning.model import model_class, save_model
+    from ..learning.model import save_model
     from ..learning.options import options_from
     from ..learning.trainer import Run, rank
     from ..metrics import amae
@@ -184,13 +185,14 @@ def tune(options: argparse.Namespace) -> dict[str, Any]:
 
     from ..common.progress import Stages
     from ..data.dataset import Dataset
+    from ..learning import model_class
     from ..learning.body import BodyGeometry
-    from ..learning.model import model_class
     from ..learning.options import options_from
     from ..study.optuna_study import open_study
     from ..study.search_space import Search, search_space
     from ..study.tune import tune
-    from ..study.tune_figures import summary, write_figures
+    from ..study.tune_figures import write_figures
+    from ..study.tune_summary import summary
 
     given = _options_given(options, "epochs", "steps", "seconds", "batch", "rate")
     if options.samples is not None and options.samples < 1:

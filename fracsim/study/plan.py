@@ -1,4 +1,7 @@
-"""TODO study.plan."""
+"""The plan of an evaluation: which meshes, which models, and how much is measured of each.
+
+``evaluate`` and ``write_report`` take a plan; ``read_plan`` reads one from a TOML file.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,30 @@ from ..learning import MODELS
 from ..learning.options import with_training
 from ..simulators.registry import SimulatorOptions
 
-UNLEARNED = ("simulator", "precomputed")
+UNLEARNED = ("simulator", "precomputed")  # kinds of rows that nothing is learned for
 
 
 @dataclass(frozen=True)
 class MeshPlan:
-    """One mesh. splits: how often each face is split in three at its centroid. samples: impulses drawn, training and
-    test together. tested: held-out impulses that part the body; slow: how many of them for the thesis's models and
-    segmentations; timed: for the NetworkX references."""
+    """One mesh of a plan.
+
+    Attributes
+    ----------
+    name : str
+        Its name in tables and charts.
+    file : str
+        A file that ``read_surface`` reads.
+    splits : int
+        How many times each face is split in three at its centroid.
+    samples : int
+        Impulses drawn, for training, validation and test together.
+    tested : int
+        Test impulses that break the body and are measured.
+    slow : int
+        How many of these are measured for slow models, and for the segmentations of the thesis.
+    timed : int
+        How many of these the NetworkX references are timed on.
+    """
 
     name: str
     file: str
@@ -32,9 +51,26 @@ class MeshPlan:
 
 @dataclass(frozen=True)
 class ModelPlan:
-    """One model. kind: of models.base.MODELS, or truth or modes. options: of its own. training: of the trainer.
-    samples: that it learns from, at most. meshes: that it is tried on; all, where none is named. others: whether it
-    learns from the other meshes' samples instead, and never sees the one it is tried on."""
+    """One model of a plan.
+
+    Attributes
+    ----------
+    name : str
+        Its name in tables and charts.
+    kind : str
+        A name in ``learning.MODELS``; or ``"simulator"``, the true fields; or ``"precomputed"``, the simulator with
+        precomputed impact fields, as an asset uses it.
+    options : dict of str to object
+        Options of the model that differ from the defaults.
+    training : dict of str to object
+        Training options that differ from the defaults.
+    samples : int or None
+        The number of samples that it learns from; None for all.
+    meshes : tuple of str
+        Names of the meshes that it is measured on; empty for all.
+    others : bool
+        Whether it learns from the other meshes of the plan and never sees the one it is measured on.
+    """
 
     name: str
     kind: str
@@ -47,8 +83,23 @@ class ModelPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole evaluation. published: rows of other people's to stand beside ours, as given. studies: trials.json files
-    of ``fracsim tune``, to be drawn side by side."""
+    """An evaluation.
+
+    Attributes
+    ----------
+    meshes : tuple of MeshPlan
+        The meshes.
+    models : tuple of ModelPlan
+        The models.
+    simulator : SimulatorOptions
+        The fracture simulator that samples come from.
+    seed : int
+        Seed of the samples and of the training.
+    published : tuple of dict
+        Rows that others published, shown beside ours as they are.
+    studies : tuple of str
+        Paths of ``trials.json`` files of ``fracsim tune``, whose Pareto fronts are drawn in one chart.
+    """
 
     meshes: tuple[MeshPlan, ...]
     models: tuple[ModelPlan, ...]
@@ -57,35 +108,68 @@ class Plan:
     published: tuple[dict[str, Any], ...]
     studies: tuple[str, ...] = ()
 
+    def models_of(self, mesh: MeshPlan) -> list[ModelPlan]:
+        """List the models that are measured on a mesh.
+
+        Parameters
+        ----------
+        mesh : MeshPlan
+            A mesh of this plan.
+
+        Returns
+        -------
+        list of ModelPlan
+            The models, in the order of the plan.
+        """
+        return [model for model in self.models if not model.meshes or mesh.name in model.meshes]
+
 
 def read_plan(path: str | Path) -> Plan:
-    """Read a plan. Raises ModelError, naming the file and the fault."""
+    """Read a plan.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file with ``[[meshes]]``, ``[[models]]``, ``[simulator]``, ``seed``, ``[[published]]`` and ``studies``.
+        File names in it are relative to its folder.
+
+    Returns
+    -------
+    Plan
+        The plan, with absolute paths.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing, is not TOML, or an entry is unknown or contradicts another; the message names both.
+    """
     path = Path(path)
     if not path.is_file():
         raise ModelError(f"{path}: no such file")
     try:
-        told = tomllib.loads(path.read_text(encoding="utf-8"))
-        meshes = tuple(MeshPlan(**mesh) for mesh in told.pop("meshes"))
-        models = tuple(ModelPlan(**{**m, "meshes": tuple(m.get("meshes", ()))}) for m in told.pop("models"))
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        meshes = tuple(MeshPlan(**mesh) for mesh in document.pop("meshes"))
+        models = tuple(ModelPlan(**{**m, "meshes": tuple(m.get("meshes", ()))}) for m in document.pop("models"))
         plan = Plan(
             tuple(replace(m, file=str((path.parent / m.file).resolve())) for m in meshes),
             models,
-            SimulatorOptions(**told.pop("simulator", {})),
-            int(told.pop("seed", 0)),
-            tuple(told.pop("published", ())),
-            tuple(str((path.parent / study).resolve()) for study in told.pop("studies", ())),
+            SimulatorOptions(**document.pop("simulator", {})),
+            int(document.pop("seed", 0)),
+            tuple(document.pop("published", ())),
+            tuple(str((path.parent / study).resolve()) for study in document.pop("studies", ())),
         )
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: not a plan ({error})") from error
-    if told:
-        raise ModelError(f"{path}: unknown entries {', '.join(told)}")
-    for things, kind in ((plan.meshes, "mesh"), (plan.models, "model")):
-        names = [thing.name for thing in things]
+    if document:
+        raise ModelError(f"{path}: unknown entries {', '.join(document)}")
+    for entries, title in ((plan.meshes, "mesh"), (plan.models, "model")):
+        names = [entry.name for entry in entries]
         if not names or len(set(names)) != len(names):
-            raise ModelError(f"{path}: every {kind} needs a name of its own, and there must be one")
+            raise ModelError(f"{path}: there must be at least one {title}, and every {title} needs a name of its own")
     for model in plan.models:
         if model.kind not in (*MODELS, *UNLEARNED):
-            raise ModelError(f"{path}: {model.name}: unknown kind {model.kind!r}")
+            known = ", ".join((*MODELS, *UNLEARNED))
+            raise ModelError(f"{path}: {model.name}: unknown kind {model.kind!r}; use one of {known}")
         for name in model.meshes:
             if name not in [mesh.name for mesh in plan.meshes]:
                 raise ModelError(f"{path}: {model.name}: there is no mesh {name!r}")
@@ -93,9 +177,27 @@ def read_plan(path: str | Path) -> Plan:
 
 
 def options_of(options_type: type[Any], plan: ModelPlan) -> Any:
-    """The options that a plan names; a budget among its training replaces the model's own."""
+    """Build the options of a planned model.
+
+    Parameters
+    ----------
+    options_type : type
+        The class of the model's options.
+    plan : ModelPlan
+        The model. A budget among its training options replaces the model's own.
+
+    Returns
+    -------
+    object
+        An instance of ``options_type``.
+
+    Raises
+    ------
+    ModelError
+        If an option is unknown or has a wrong value; the message names the model.
+    """
     options = {name: tuple(value) if isinstance(value, list) else value for name, value in plan.options.items()}
     try:
         return with_training(options_type(), {**options, **plan.training})
-    except (ModelError, TypeError) as error:  # a plan's values may be of any type
+    except (ModelError, TypeError) as error:  # values from TOML may have any type
         raise ModelError(f"{plan.name}: {error}") from error

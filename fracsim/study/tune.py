@@ -1,7 +1,6 @@
 """Hyperparameters: a search for a model that is both accurate and fast (thesis, sections 5.1.3 and 5.2). Offline only.
 
-NSGA-II (Deb et al. 2002) seeks the least error over the folds of a dataset and the least time of a query. A study is a
-file, or a database, that any number of processes work on at once; any of them may be killed, and started again.
+NSGA-II (Deb et al. 2002) minimises the error over the folds of a dataset and the time of a query.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,28 +19,50 @@ from ..learning import model_class
 from ..learning.body import BodyGeometry
 from ..learning.model import Predictor
 from ..learning.trainer import Run
-from ..segmentation import METHODS
+from ..segmentation import METHODS, Segmentation
 from ..segmentation.graph import SurfaceGraph
-from .optuna_study import _bury, _ByTrial, _counts, _process
+from .optuna_study import (
+    SeededSampler,
+    begin_trial,
+    count_trials,
+    fail_trial,
+    finish_trial,
+    give_up_lost_trials,
+    repeat_trial,
+)
 from .search_space import Search
 
-try:
+if TYPE_CHECKING:
     import optuna
+
+try:
     import torch
-    from optuna.trial import TrialState
     from threadpoolctl import threadpool_limits
 except ImportError as error:
-    raise MissingExtraError(str(error.name), "tune") from error
+    raise MissingExtraError(str(error.name), "train") from error
 
-CHUNK = 64  # impulses whose fields are held at once
-QUERIES, REPEATS = 5, 5  # impulses a fold that are timed, and how often each
-PARTED = 20  # impulses a fold that part the body, whose segmentation is judged
-LEAST = 10  # finished trials, for importances to mean anything
+CHUNK = 64  # impulses whose fields are held in memory at once
+QUERIES, REPEATS = 5, 5  # impulses of a fold that are timed, and how often each
+SEGMENTED = 20  # impulses of a fold that break the body and whose segmentation is measured
+# What a bad choice of hyperparameters may cause. Everything else is a mistake in the program.
 FAULTS = (ModelError, FieldError, MemoryError, torch.OutOfMemoryError)
 
 
 def fold_of(samples: Samples, fold: int) -> Samples:
-    """The samples outside the test split: those of a fold to validate on, all others to train on."""
+    """Split the samples outside the test split for one fold.
+
+    Parameters
+    ----------
+    samples : Samples
+        All samples.
+    fold : int
+        The fold to validate on, from 0.
+
+    Returns
+    -------
+    Samples
+        Those outside the test split: the fold is the validation split, all others are the training split.
+    """
     inside = samples.take(samples.fold >= 0)
     return replace(inside, split=(inside.fold == fold).astype(np.int64))
 
@@ -54,85 +75,135 @@ def tune(
     trials: int,
     population: int = 20,
     progress: Callable[[float], None] = lambda _: None,
+    segmentation: str = "watershed",
 ) -> None:
-    """Try hyperparameters until the study holds so many trials, those of other processes included.
+    """Try hyperparameters until the study holds a number of trials, those of other processes included.
 
-    population: trials a generation of NSGA-II. When W processes work on a study, it may end with up to W - 1 more. A
-    trial that was interrupted, or whose process was killed, does not count and is tried again; one that cannot be
-    fitted counts, as failed.
+    If W processes work on a study, it may end with up to W - 1 more. A trial that was interrupted, or whose process was
+    killed, does not count and is tried again. A trial whose model cannot be trained counts as failed.
+
+    Parameters
+    ----------
+    search : Search
+        What is searched.
+    body : BodyGeometry
+        The body.
+    samples : Samples
+        Its samples.
+    study : optuna.Study
+        What ``open_study`` returns.
+    trials : int
+        The number of trials.
+    population : int
+        Trials in a generation of NSGA-II.
+    progress : callable
+        Called with the share that is done.
+    segmentation : str
+        The segmentation that predicted fields are measured with, a name in ``segmentation.METHODS``.
+
+    Raises
+    ------
+    ModelError
+        If an argument is out of range, or a fold has no samples.
+    FieldError
+        If there is no segmentation of that name.
     """
     if trials < 0 or population < 2:
         raise ModelError(f"trials must be at least 0 and a population at least 2, got {trials} and {population}")
+    if segmentation not in METHODS:
+        raise FieldError(f"unknown segmentation {segmentation!r}; use one of {', '.join(METHODS)}")
     for fold in range(search.folds):
         split = fold_of(samples, fold).split
         if not (split == 0).any() or not (split == 1).any():
             raise ModelError(f"fold {fold} is empty; make more samples with: fracsim dataset make")
-    study.sampler = _ByTrial(search.seed, population)
-    me = _process("self")
+    study.sampler = SeededSampler(search.seed, population)
     while True:
-        _bury(study)
-        taken = sum(map(_counts, study.get_trials(deepcopy=False)))
-        progress(min(1.0, taken / max(trials, 1)))
-        if taken >= trials:
+        give_up_lost_trials(study)
+        count = count_trials(study)
+        progress(min(1.0, count / max(trials, 1)))
+        if count >= trials:
             return
-        trial = study.ask()
-        trial.set_user_attr("process", me)
+        trial = begin_trial(study)
         try:
             values = {name: ends.suggest(trial, name) for name, ends in search.ranges.items()}
-            found = measure(search, body, samples, values, _part(progress, taken, trials))
-            trial.set_user_attr("found", found)
-            study.tell(trial, [found["amae"], found["seconds"]])
+            figures = measure(search, body, samples, values, _share_of(progress, count, trials), segmentation)
         except KeyboardInterrupt:
-            if study.tell(trial, state=TrialState.FAIL, skip_if_finished=True).state == TrialState.FAIL:
-                study.enqueue_trial(trial.params, {"lost": trial.user_attrs.get("lost", 0)})
+            repeat_trial(study, trial)
             raise
-        except Exception as error:
-            trial.set_user_attr("fault", f"{type(error).__name__}: {error}")
-            study.tell(trial, state=TrialState.FAIL)
-            if not isinstance(error, FAULTS):
-                raise
+        except FAULTS as error:
+            fail_trial(study, trial, error)
+        except Exception as error:  # a mistake in the program: the trial records it, and it is raised
+            fail_trial(study, trial, error)
+            raise
+        else:
+            finish_trial(study, trial, figures)
 
 
 def measure(
-    search: Search, body: BodyGeometry, samples: Samples, values: dict[str, Any], progress: Callable[[float], None]
+    search: Search,
+    body: BodyGeometry,
+    samples: Samples,
+    values: dict[str, Any],
+    progress: Callable[[float], None] = lambda _: None,
+    segmentation: str = "watershed",
 ) -> dict[str, Any]:
-    """Fit and judge the model with these values, fold by fold.
+    """Train and measure a model with certain hyperparameters, fold by fold.
 
-    Means over the folds: amae and mse of the fields and, where impulses part the body, bc, rc, ari and ami of the
-    watershed of the first PARTED. seconds: the median of a query of one impulse, on one thread or the model's device.
-    folds: amae of each. fit_seconds: of all fits.
+    Parameters
+    ----------
+    search : Search
+        What is searched.
+    body : BodyGeometry
+        The body.
+    samples : Samples
+        Its samples.
+    values : dict of str to object
+        The hyperparameters, by name.
+    progress : callable
+        Called with the share that is done.
+    segmentation : str
+        The segmentation that predicted fields are measured with, a name in ``segmentation.METHODS``.
+
+    Returns
+    -------
+    dict
+        ``amae`` and ``mse`` of the fields, and ``bc``, ``rc``, ``ari`` and ``ami`` of the segmentation if every fold
+        has impulses that break the body: means over the folds. ``seconds``, the median time of a query of one impulse,
+        on one thread or on the model's device. ``folds``, the AMAE of each fold. ``fit_seconds``, the time of all
+        trainings.
     """
     options, kind = search.with_values(values), model_class(search.kind)
     graph = SurfaceGraph.of(body.surface)
     rows: list[dict[str, float]] = []
-    spent: list[float] = []
-    fitting = 0.0
+    query_seconds: list[float] = []
+    fit_seconds = 0.0
     for fold in range(search.folds):
-        told = fold_of(samples, fold)
-        run = Run(progress=_part(progress, fold, search.folds))
+        split = fold_of(samples, fold)
+        run = Run(progress=_share_of(progress, fold, search.folds))
         begin = time.perf_counter()
-        model, _ = kind.fit(body, told, options, search.seed, run)
-        fitting += time.perf_counter() - begin
-        held_out = told.of_split(1)
-        rows.append({**_errors(body, held_out, model), **_segmented(body, held_out, model, graph)})
-        spent += _times(model, held_out)
+        model, _ = kind.fit(body, split, options, search.seed, run)
+        fit_seconds += time.perf_counter() - begin
+        held_out = split.of_split(1)
+        scores = _segmentation_scores(body, held_out, model, graph, METHODS[segmentation])
+        rows.append({**_field_errors(body, held_out, model), **scores})
+        query_seconds += _query_times(model, held_out)
         progress((fold + 1) / search.folds)
-    # One that not every fold knows is of none.
     means = {name: float(np.mean([row[name] for row in rows])) for name in rows[0] if all(name in row for row in rows)}
     return {
         **means,
-        "seconds": float(np.median(spent)),
+        "seconds": float(np.median(query_seconds)),
         "folds": [row["amae"] for row in rows],
-        "fit_seconds": fitting,
+        "fit_seconds": fit_seconds,
     }
 
 
-def _part(progress: Callable[[float], None], done: int, of: int) -> Callable[[float], None]:
-    """Progress of the piece after so many of all."""
-    return lambda share: progress((done + share) / of)
+def _share_of(progress: Callable[[float], None], done: int, total: int) -> Callable[[float], None]:
+    """Report the progress of one of several equal shares, after so many are done."""
+    return lambda share: progress((done + share) / total)
 
 
-def _errors(body: BodyGeometry, samples: Samples, model: Predictor) -> dict[str, float]:
+def _field_errors(body: BodyGeometry, samples: Samples, model: Predictor) -> dict[str, float]:
+    """Mean errors of the fields that a model predicts."""
     total = {"amae": 0.0, "mse": 0.0}
     for start in range(0, len(samples), CHUNK):
         chunk = samples.take(slice(start, start + CHUNK))
@@ -142,20 +213,23 @@ def _errors(body: BodyGeometry, samples: Samples, model: Predictor) -> dict[str,
     return {name: value / len(samples) for name, value in total.items()}
 
 
-def _segmented(body: BodyGeometry, samples: Samples, model: Predictor, graph: SurfaceGraph) -> dict[str, float]:
-    parted = samples.take(np.flatnonzero(samples.labels.any(axis=1))[:PARTED])
-    found: dict[str, list[float]] = {"bc": [], "rc": [], "ari": [], "ami": []}
-    for k, udf in enumerate(model.predict(parted.impacts) if len(parted) else ()):
-        truth = parted.labels[k][body.vertex_atom]
-        labels = METHODS["watershed"](graph, udf.astype(np.float64))
-        for name, value in metrics.partition_scores(body.vertices, graph.edges, truth, labels).items():
-            found[name].append(value)
-    return {name: float(np.mean(values)) for name, values in found.items() if values}
+def _segmentation_scores(
+    body: BodyGeometry, samples: Samples, model: Predictor, graph: SurfaceGraph, segmentation: Segmentation
+) -> dict[str, float]:
+    """Mean scores of the segmented fields of a few impulses; empty if no impulse breaks the body."""
+    breaking = samples.take(np.flatnonzero(samples.labels.any(axis=1))[:SEGMENTED])
+    if not len(breaking):
+        return {}
+    rows = []
+    for atom_labels, udf in zip(breaking.labels, model.predict(breaking.impacts), strict=True):
+        labels = segmentation(graph, udf.astype(np.float64))
+        rows.append(metrics.partition_scores(body.vertices, graph.edges, atom_labels[body.vertex_atom], labels))
+    return {name: float(np.mean([row[name] for row in rows])) for name in ("bc", "rc", "ari", "ami")}
 
 
-def _times(model: Predictor, samples: Samples) -> list[float]:
-    """Seconds of each query, on one thread, for other workers may have the rest of the machine."""
-    spent = []
+def _query_times(model: Predictor, samples: Samples) -> list[float]:
+    """Seconds of each query, on one thread, because other processes may use the rest of the machine."""
+    times = []
     with threadpool_limits(1):
         for k in range(min(QUERIES, len(samples))):
             impact = samples.take(slice(k, k + 1)).impacts
@@ -163,5 +237,5 @@ def _times(model: Predictor, samples: Samples) -> list[float]:
             for _ in range(REPEATS):
                 begin = time.perf_counter()
                 model.predict(impact)
-                spent.append(time.perf_counter() - begin)
-    return spent
+                times.append(time.perf_counter() - begin)
+    return times

@@ -1,148 +1,109 @@
-"""TODO study.tune_figures."""
+"""Charts of a study of hyperparameters: Pareto front, parallel coordinates and importances. Offline only.
+
+They are drawn from the plain data of ``summary``, so that a committed trials.json can be drawn again.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..common.errors import MissingExtraError
 from ..common.files import write_beside
-from ..learning import model_class
-from .search_space import Search
-from .tune import LEAST
+from .tune_summary import MEASURES
 from .view import as_png
 
 try:
     import matplotlib
-    import optuna
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
-    from optuna.importance import FanovaImportanceEvaluator, get_param_importances
-    from optuna.trial import FrozenTrial, TrialState
 except ImportError as error:
-    raise MissingExtraError(str(error.name), "tune") from error
+    raise MissingExtraError("matplotlib", "plot") from error
 
 
-MEASURES = {
-    "amae": "AMAE",
-    "seconds": "time of a query",
-    "mse": "MSE",
-    "bc": "boundary Chamfer",
-    "rc": "region Chamfer",
-    "ari": "ARI",
-    "ami": "AMI",
-}
+def write_figures(results: dict[str, Any], out: Path) -> list[Path]:
+    """Write trials.json and, if trials finished, pareto.png, parallel.png and importances.png.
 
+    Parameters
+    ----------
+    results : dict
+        What ``summary`` returns.
+    out : Path
+        An existing folder.
 
-# What came of it
-
-
-def cost(kind: str, trial: FrozenTrial) -> float:
-    """sqrt(t² + 3 AMAE²) (thesis, Eq. 5.1), with t in seconds: in milliseconds, which the thesis prints beside it, it
-    would choose the fastest whatever its error."""
-    amae, seconds = trial.values
-    return model_class(kind).cost(amae, seconds)
-
-
-def summary(study: optuna.Study, search: Search) -> dict[str, Any]:
-    """All trials, the Pareto front, the chosen trial and the importances, as plain data."""
-    trials = study.get_trials(deepcopy=False)
-    complete = [trial for trial in trials if trial.state == TrialState.COMPLETE]
-    front = {trial.number: trial for trial in study.best_trials}
-    chosen = min(front, key=lambda number: (cost(search.kind, front[number]), number), default=None)
-    failed = [trial for trial in trials if trial.state == TrialState.FAIL]
-    return {
-        "study": study.study_name,
-        "search": search.identity(),
-        "counts": {
-            "finished": len(complete),
-            "failed": sum("fault" in trial.user_attrs for trial in failed),
-            "interrupted": sum("fault" not in trial.user_attrs for trial in failed),
-            "under way": sum(trial.state == TrialState.RUNNING for trial in trials),
-        },
-        "rule": model_class(search.kind).cost.rule,
-        "chosen": chosen,
-        "importances": importances(study, search.seed),
-        "trials": [
-            {
-                "number": trial.number,
-                "state": trial.state.name.lower(),
-                "front": trial.number in front,
-                "parameters": trial.params,
-                **trial.user_attrs.get("found", {}),
-                **({"fault": trial.user_attrs["fault"]} if "fault" in trial.user_attrs else {}),
-            }
-            for trial in trials
-        ],
-    }
-
-
-def importances(study: optuna.Study, seed: int) -> dict[str, dict[str, float]]:
-    """By fANOVA (Hutter et al. 2014): the share of the variance of each measure that each hyperparameter accounts for
-    by itself (thesis, figures 5.4 and 5.8). Empty with fewer than LEAST finished trials."""
-    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    result = {}
-    for name in MEASURES if len(complete) >= LEAST else ():
-        values = [trial.user_attrs["found"].get(name) for trial in complete]
-        if None not in values and max(values) > min(values):
-            evaluator = FanovaImportanceEvaluator(seed=seed % 2**32)
-            result[name] = get_param_importances(study, evaluator=evaluator, target=partial(_measure_of, name))
-    return result
-
-
-def _measure_of(name: str, trial: FrozenTrial) -> float:
-    return float(trial.user_attrs["found"][name])
-
-
-def write_figures(found: dict[str, Any], out: Path) -> list[Path]:
-    """Write trials.json and, where trials finished, pareto.png, parallel.png and importances.png; returns the paths.
-
-    found: a ``summary``.
+    Returns
+    -------
+    list of Path
+        The files that were written.
     """
-    files = {"trials.json": (json.dumps(found, indent=1) + "\n").encode()}
-    if found["chosen"] is not None:
-        files |= {"pareto.png": as_png(_pareto(found), 130), "parallel.png": as_png(_parallel(found), 130)}
-        if found["importances"]:
-            files["importances.png"] = as_png(_importances(found), 130)
+    files = {"trials.json": (json.dumps(results, indent=1) + "\n").encode()}
+    if results["chosen"] is not None:
+        figures = {"pareto": pareto_chart(results), "parallel": parallel_chart(results)}
+        if results["importances"]:
+            figures["importances"] = importance_chart(results)
+        files |= {f"{name}.png": as_png(figure, 130) for name, figure in figures.items()}
     for name, data in files.items():
         write_beside(out / name, data)
     return [out / name for name in files]
 
 
-def _finished(found: dict[str, Any]) -> list[dict[str, Any]]:
-    return [trial for trial in found["trials"] if trial["state"] == "complete"]
+def _finished(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """List the trials that finished."""
+    return [trial for trial in results["trials"] if trial["state"] == "complete"]
 
 
-def _pareto(found: dict[str, Any]) -> Figure:
-    """Every trial by its time and error, the front among them, and the choice (thesis, figures 5.2 and 5.6)."""
+def pareto_chart(results: dict[str, Any]) -> Figure:
+    """Draw every trial by its time and error, the Pareto front and the choice (thesis, figures 5.2 and 5.6).
+
+    Parameters
+    ----------
+    results : dict
+        What ``summary`` returns, of a study with finished trials.
+
+    Returns
+    -------
+    Figure
+        The chart.
+    """
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
-    finished = sorted(_finished(found), key=lambda trial: trial["seconds"])
+    finished = sorted(_finished(results), key=lambda trial: trial["seconds"])
     for front, colour, label in ((False, "0.65", "dominated trials"), (True, "crimson", "Pareto front")):
         points = [(trial["seconds"] * 1e3, trial["amae"]) for trial in finished if trial["front"] == front]
         if points:
             axes.plot(*zip(*points, strict=True), "o", color=colour, ms=4, mew=0, label=label)
         if front:
             axes.plot(*zip(*points, strict=True), color=colour, lw=1, drawstyle="steps-post")
-    chosen = found["trials"][found["chosen"]]
+    chosen = results["trials"][results["chosen"]]
     label = "chosen: " + ", ".join(f"{name} {_short(value)}" for name, value in chosen["parameters"].items())
     axes.plot(chosen["seconds"] * 1e3, chosen["amae"], "o", color="tab:blue", ms=9, mec="white", label=label)
     axes.set(xscale="log", yscale="log", xlabel="time of a query, ms", ylabel="AMAE, mean over the folds")
-    axes.set_title(f"{found['search']['kind']}, {len(finished)} trials", fontsize=10)
+    axes.set_title(f"{results['search']['kind']}, {len(finished)} trials", fontsize=10)
     axes.grid(alpha=0.25, which="both")
     axes.legend(fontsize=7)
     return figure
 
 
-def _parallel(found: dict[str, Any]) -> Figure:
-    """A line a trial through its error and its hyperparameters (thesis, figures 5.3 and 5.7)."""
-    ranges = found["search"]["ranges"]
-    finished = sorted(_finished(found), key=lambda trial: -trial["amae"])  # the best on top
+def parallel_chart(results: dict[str, Any]) -> Figure:
+    """Draw a line for each trial through its error and its hyperparameters (thesis, figures 5.3 and 5.7).
+
+    Parameters
+    ----------
+    results : dict
+        What ``summary`` returns, of a study with finished trials.
+
+    Returns
+    -------
+    Figure
+        The chart.
+    """
+    ranges = results["search"]["ranges"]
+    finished = sorted(_finished(results), key=lambda trial: -trial["amae"])  # the best on top
     amae = np.array([trial["amae"] for trial in finished])
     columns = [("AMAE", amae, amae.min(), amae.max(), True)]
     for name, ends in ranges.items():
@@ -155,7 +116,7 @@ def _parallel(found: dict[str, Any]) -> Figure:
     colours = matplotlib.colormaps["viridis"]
     places = range(len(columns))
     for trial, line in zip(finished, heights, strict=True):
-        if trial["number"] != found["chosen"]:
+        if trial["number"] != results["chosen"]:
             axes.plot(places, line, color=colours(norm(trial["amae"])), lw=0.8, alpha=0.7)
         else:
             chosen = line
@@ -177,16 +138,27 @@ def _parallel(found: dict[str, Any]) -> Figure:
     return figure
 
 
-def _height(values: Any, low: float, high: float, log: bool) -> Any:
-    """Where on an axis from 0 to 1 values are."""
+def _height(values: npt.NDArray[np.float64], low: float, high: float, log: bool) -> npt.NDArray[np.float64]:
+    """Place values on an axis from 0 to 1."""
     if high <= low:
         return np.full(len(values), 0.5)
     return np.log(values / low) / math.log(high / low) if log else (values - low) / (high - low)
 
 
-def _importances(found: dict[str, Any]) -> Figure:
-    """Bars, a hyperparameter a group and a measure a colour (thesis, figures 5.4 and 5.8)."""
-    measures, names = found["importances"], list(found["search"]["ranges"])
+def importance_chart(results: dict[str, Any]) -> Figure:
+    """Draw a group of bars for each hyperparameter, a bar for each measure (thesis, figures 5.4 and 5.8).
+
+    Parameters
+    ----------
+    results : dict
+        What ``summary`` returns, of a study with importances.
+
+    Returns
+    -------
+    Figure
+        The chart.
+    """
+    measures, names = results["importances"], list(results["search"]["ranges"])
     figure = Figure(figsize=(7, 0.5 + 0.12 * len(measures) * len(names) + 0.25 * len(names)), layout="constrained")
     axes = figure.subplots()
     height = 0.8 / len(measures)
@@ -202,4 +174,5 @@ def _importances(found: dict[str, Any]) -> Figure:
 
 
 def _short(value: float) -> str:
+    """Format a number for a chart."""
     return f"{value:.0f}" if value == round(value) else f"{value:.3g}"

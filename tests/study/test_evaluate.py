@@ -94,7 +94,7 @@ def test_rows_are_as_good_as_they_must_be(planned):
     rows = {(row["model"], row["segmentation"]): row for row in found["rows"]}
     assert rows["true field", "atoms"]["ari"] > 0.95
     assert rows["true field", "atoms"]["amae"] == 0
-    exact = rows["simulator, precomputed", "none: labels"]
+    exact = rows["simulator, precomputed", "none (labels predicted)"]
     assert exact["ari"] == 1.0
     assert exact["accepted"] == 1.0
     assert exact["breaks"]["balanced_accuracy"] == 1.0
@@ -108,7 +108,7 @@ def test_going_on_measures_nothing_twice_and_a_changed_model_anew(planned, monke
     folder, arguments = planned
     before = (folder / "out/accuracy.json").read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr("fracsim.study.evaluate.Bench.measure", lambda *_: pytest.fail("measured again"))
+        patch.setattr("fracsim.study.mesh_bench.MeshBench.measure", lambda *_: pytest.fail("measured again"))
         assert main(arguments) == 0
     assert (folder / "out/accuracy.json").read_bytes() == before
     asked = []
@@ -118,7 +118,7 @@ def test_going_on_measures_nothing_twice_and_a_changed_model_anew(planned, monke
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("fracsim.study.evaluate.Bench.measure", measure)
+        patch.setattr("fracsim.study.mesh_bench.MeshBench.measure", measure)
         (folder / "plan.toml").write_text(PLAN.replace("width = 16", "width = 8"))
         assert main(arguments) == 130
     (folder / "plan.toml").write_text(PLAN)

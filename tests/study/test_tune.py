@@ -1,4 +1,4 @@
-"""Tuning: folds that keep the test split out, studies that survive their workers, and the choice of the thesis."""
+"""Tuning: folds without test samples, studies that survive killed processes, and the choice of the thesis."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ from fracsim.study import optuna_study, tune
 from fracsim.study.optuna_study import open_study
 from fracsim.study.search_space import Search, search_space
 from fracsim.study.tune import fold_of
-from fracsim.study.tune_figures import summary, write_figures
+from fracsim.study.tune_figures import importance_chart, parallel_chart, pareto_chart, write_figures
+from fracsim.study.tune_summary import summary
 
 
 @dataclass(frozen=True)
@@ -160,13 +161,42 @@ def test_the_search_finds_the_best_size_and_marks_the_front_and_the_choice_of_th
         assert trial["front"] != any(amae <= figures[0] and seconds <= figures[1] for amae, seconds in others)
     cost = {t["number"]: math.sqrt(t["seconds"] ** 2 + 3 * t["amae"] ** 2) for t in trials}
     assert found["chosen"] == min(cost, key=cost.get)
-    assert len({t["parameters"]["cost"] for t in trials}) > 12  # drawn, not repeated
+    assert len({t["parameters"]["cost"] for t in trials}) > 12  # values are drawn anew, not repeated
     assert max(found["importances"]["amae"], key=found["importances"]["amae"].get) == "size"
     assert sum(found["importances"]["seconds"].values()) == pytest.approx(1)
     paths = write_figures(found, tmp_path)
     assert [path.name for path in paths] == ["trials.json", "pareto.png", "parallel.png", "importances.png"]
     assert json.loads(paths[0].read_text()) == found
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths[1:])
+    check_charts(found)
+
+
+def check_charts(found):
+    """The charts show every trial, the choice and the importances of a study."""
+    trials, chosen = found["trials"], found["trials"][found["chosen"]]
+    axes = pareto_chart(found).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time of a query, ms", "AMAE, mean over the folds")
+    lines = {line.get_label().split(":")[0]: line.get_xydata() for line in axes.lines}
+    points = np.vstack([lines["dominated trials"], lines["Pareto front"]])
+    expected = [(trial["seconds"] * 1e3, trial["amae"]) for trial in trials]
+    np.testing.assert_allclose(sorted(points.tolist()), sorted(expected))
+    assert len(lines["Pareto front"]) == sum(trial["front"] for trial in trials)
+    np.testing.assert_allclose(lines["chosen"], [[chosen["seconds"] * 1e3, chosen["amae"]]])
+
+    axes = parallel_chart(found).axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["AMAE", "size", "cost"]
+    lines = [line for line in axes.lines if len(line.get_xdata()) == 3]
+    assert len(lines) == len(trials)
+    bold = next(line for line in lines if line.get_label() == "chosen")
+    sizes = (chosen["parameters"]["size"] - 1) / (12 - 1), chosen["parameters"]["cost"] / 1e-4
+    np.testing.assert_allclose(bold.get_ydata()[1:], sizes)
+
+    axes = importance_chart(found).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["size", "cost"]
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    bars = dict(zip(labels, axes.containers, strict=True))
+    widths = [bar.get_width() for bar in bars["AMAE"]]
+    np.testing.assert_allclose(widths, [found["importances"]["amae"][name] for name in ("size", "cost")])
 
 
 def test_one_seed_draws_one_first_generation(told, tmp_path):
@@ -352,7 +382,7 @@ def test_two_processes_share_a_study_and_one_takes_over_what_the_other_was_kille
 
     def begun(process):
         """Whether it has a trial well before its end."""
-        mine = [t for t in study.trials if t.user_attrs.get("process") == optuna_study._process(str(process.pid))]
+        mine = [t for t in study.trials if t.user_attrs.get("process") == optuna_study.process_name(str(process.pid))]
         return (
             mine and mine[-1].params.keys() == SPACE.keys() and time.time() < mine[-1].datetime_start.timestamp() + 0.3
         )
@@ -380,7 +410,7 @@ def test_a_trial_that_kills_its_process_again_is_given_up(told, study):
         return {name: ends.suggest(trial, name) for name, ends in SPACE.items()}
 
     first = killed()
-    optuna_study._bury(study)
+    optuna_study.give_up_lost_trials(study)
     assert killed() == first
     found = go(told, study, 3)
     assert [trial["state"] for trial in found["trials"]] == ["fail"] * 2 + ["complete"] * 3
@@ -397,7 +427,7 @@ def test_a_trial_under_way_elsewhere_is_left_alone(told, study):
 
 def test_a_trial_under_way_here_is_not_started_twice(told, study):
     other = study.ask()
-    other.set_user_attr("process", optuna_study._process("self"))
+    other.set_user_attr("process", optuna_study.process_name("self"))
     found = go(told, study, 2)
     assert found["counts"] == {"finished": 1, "failed": 0, "interrupted": 0, "under way": 1}
 
