@@ -138,11 +138,11 @@ def compare(name: str) -> tuple[dict, dict]:
 
     # Forwards from the contacts themselves: the mean traction on a finer mesh, and bending on either.
     body = ElasticBody(surface, modal.cells, modal.interfaces, mesh)
-    bent = body.root_mean_square_drives(body.displacements(contacts, directions))
+    bent = body.root_mean_square_loads(body.displacements(contacts, directions))
     finer = ElasticBody(surface, modal.cells, modal.interfaces, edge=FINER * edge)
     moved = finer.displacements(contacts, directions)
     refined = effective_opening(finer.tractions_of(moved), modal.interfaces.normals)
-    refined_bent = finer.root_mean_square_drives(moved)
+    refined_bent = finer.root_mean_square_loads(moved)
 
     figures = {
         "vertices": len(surface.vertices),

@@ -97,7 +97,7 @@ def simulator_class(name: str) -> type[RegisteredSimulator]:
 
 
 def _complete(name: str, cls: Any) -> type[RegisteredSimulator]:
-    """The class, if it carries all that a registered simulator must."""
+    """Return the class if it carries all that a registered simulator must."""
     if not isinstance(cls, type):
         raise BakeError(f"simulator {name!r}: must be a class or 'module:Class', got {cls!r}")
     missing = [attribute for attribute in REQUIRED if attribute not in dir(cls)]

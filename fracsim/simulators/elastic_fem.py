@@ -1,4 +1,7 @@
-"""TODO simulators.elastic_fem."""
+"""A free elastic body by finite elements, which answers impacts with tractions. Offline only.
+
+``elastic`` builds its simulator on it; the physics is described there.
+"""
 
 from __future__ import annotations
 
@@ -58,16 +61,43 @@ np.savez("solid.npz", points=points, tetrahedra=tetrahedra)
 
 
 def mesh_edge(surface: Surface) -> float:
-    """The length of tetrahedra that resolves a surface: EDGE, or half of its walls' mean chord 4 V/A if less."""
+    """Choose how long the edges of tetrahedra must be to resolve a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        Of largest extent 1.
+
+    Returns
+    -------
+    float
+        EDGE, or half of its walls' mean chord 4 V/A if that is less; in units of the largest extent.
+    """
     mesh = surface.trimesh
     return min(EDGE, 2.0 * float(mesh.volume) / float(mesh.area))
 
 
 def tetrahedralise(surface: Surface, edge: float | None = None) -> MeshTet:
-    """Tetrahedra that fill a surface to within ENVELOPE, of about ``edge`` (Hu et al. 2020, fTetWild).
+    """Fill a surface with tetrahedra, to within ENVELOPE (Hu et al. 2020, fTetWild).
 
-    edge: in units of the largest extent, by default ``mesh_edge``. fTetWild draws lots: the same surface gives a
-    slightly different mesh each time. Raises MissingExtraError without wildmeshing, BakeError if it fails.
+    Parameters
+    ----------
+    surface : Surface
+        Of largest extent 1.
+    edge : float, optional
+        About how long their edges are, in units of the largest extent; ``mesh_edge`` by default.
+
+    Returns
+    -------
+    skfem.MeshTet
+        fTetWild takes random choices: the same surface gives a slightly different mesh each time.
+
+    Raises
+    ------
+    BakeError
+        If fTetWild fails, or no tetrahedron fits inside.
+    MissingExtraError
+        If wildmeshing is not installed.
     """
     if importlib.util.find_spec("wildmeshing") is None:
         raise MissingExtraError("wildmeshing", "elastic")
@@ -92,7 +122,7 @@ def tetrahedralise(surface: Surface, edge: float | None = None) -> MeshTet:
 
 
 def _largest_part(points: FloatArray, tetrahedra: IntArray) -> MeshTet:
-    """The largest part that hangs together by faces: one that hangs by an edge is a hinge and has no stiffness."""
+    """Keep the largest part that is joined by faces: one that is joined by an edge is a hinge and has no stiffness."""
     facets = np.sort(tetrahedra[:, FACETS].reshape(-1, 3), axis=1)
     order = np.lexsort(facets.T)
     same = (facets[order][1:] == facets[order][:-1]).all(axis=1)
@@ -105,28 +135,40 @@ def _largest_part(points: FloatArray, tetrahedra: IntArray) -> MeshTet:
 
 
 def locate(mesh: MeshTet, points: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The tetrahedron (N,) that holds each point, and the point's coordinates in it (N, 3), in mesh.p's order.
+    """Find the tetrahedron that holds each point.
 
-    A point that the mesh leaves out, by no more than its envelope, is moved to the tetrahedron it is least
-    outside of.
+    Parameters
+    ----------
+    mesh : skfem.MeshTet
+        Of T tetrahedra.
+    points : ndarray of float64, shape (N, 3)
+        In the mesh's units.
+
+    Returns
+    -------
+    tets : ndarray of int64, shape (N,)
+        The tetrahedra. A point outside of the mesh, by no more than its envelope, is moved to the tetrahedron that
+        it is nearest to being in.
+    local : ndarray of float64, shape (N, 3)
+        The point's coordinates in it, in the order of the tetrahedron's corners.
     """
     corners = mesh.p.T[mesh.t.T]
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
     tree = cKDTree(corners.mean(axis=1))
     tets = np.zeros(len(points), dtype=np.int64)
     local = np.zeros((len(points), 4))
-    open_ = np.arange(len(points))
+    pending = np.arange(len(points))
     nearest = min(NEAREST, len(corners))
-    while len(open_):
-        _, near = tree.query(points[open_], k=np.arange(1, nearest + 1))
-        within = np.einsum("nkij,nkj->nki", inverse[near], points[open_, None] - corners[near, 0])
+    while len(pending):
+        _, near = tree.query(points[pending], k=np.arange(1, nearest + 1))
+        within = np.einsum("nkij,nkj->nki", inverse[near], points[pending, None] - corners[near, 0])
         within = np.concatenate([1.0 - within.sum(axis=2, keepdims=True), within], axis=2)
         best = np.argmax(within.min(axis=2), axis=1)
-        rows = np.arange(len(open_))
-        tets[open_], local[open_] = near[rows, best], within[rows, best]
+        rows = np.arange(len(pending))
+        tets[pending], local[pending] = near[rows, best], within[rows, best]
         if nearest == len(corners) or nearest > 16 * NEAREST:
             break
-        open_ = open_[local[open_].min(axis=1) < -1e-9]
+        pending = pending[local[pending].min(axis=1) < -1e-9]
         nearest = min(4 * nearest, len(corners))
     local = np.maximum(local, 0.0)
     return tets, (local / local.sum(axis=1, keepdims=True))[:, 1:]
@@ -135,28 +177,51 @@ def locate(mesh: MeshTet, points: FloatArray) -> tuple[IntArray, FloatArray]:
 class ElasticBody:
     """A free elastic body that answers, for an impact anywhere, with the tractions on its interfaces.
 
-    Quadratic tetrahedra on ``mesh`` (made by fTetWild if not given): S nodes, D = 3 S unknowns, node by node. The
-    three components of the traction on each of I interfaces are linear functionals of the displacement. Stiffness
-    being symmetric, each is solved for once as if it were a load (Maxwell-Betti reciprocity), and then the
-    answer to an impact in any place is a dot product.
+    The elements are quadratic tetrahedra: S nodes, D = 3 S unknowns, node by node. The three components of the
+    traction on each of I interfaces are linear functionals of the displacement. Stiffness being symmetric, each is
+    solved for once as if it were a load (Maxwell-Betti reciprocity); then the answer to an impact in any place is a
+    dot product.
+
+    Parameters
+    ----------
+    surface : Surface
+        Of largest extent 1.
+    cells : Solid
+        The atoms of a ModalSimulator of that surface.
+    interfaces : Interfaces
+        Between them.
+    mesh : skfem.MeshTet, optional
+        Of the same body; ``tetrahedralise`` makes one if None.
+    edge : float, optional
+        For ``tetrahedralise``.
+
+    Attributes
+    ----------
+    interfaces : Interfaces
+        The I interfaces.
+    mesh : skfem.MeshTet
+        The tetrahedra.
+    nodes : ndarray of float64, shape (S, 3)
+        Corners and edge midpoints of the tetrahedra.
+
+    Raises
+    ------
+    BakeError
+        If the interfaces are not those between the cells, or the body cannot be filled with tetrahedra.
+    MissingExtraError
+        If a mesh has to be made and wildmeshing is not installed.
     """
 
     def __init__(
         self,
         surface: Surface,
-        parts: Solid,
+        cells: Solid,
         interfaces: Interfaces,
         mesh: MeshTet | None = None,
         edge: float | None = None,
     ) -> None:
-        """surface: of largest extent 1. parts, interfaces: as of a ModalGenerator. mesh: of the same body, or else
-        edge: see ``tetrahedralise``.
-
-        Raises MissingExtraError without wildmeshing when a mesh has to be made, BakeError if the interfaces are
-        not those between the parts.
-        """
         self.interfaces = interfaces
-        triangles, self._interface = _interface_triangles(parts, interfaces)
+        triangles, self._interface = _interface_triangles(cells, interfaces)
         self.mesh = tetrahedralise(surface, edge) if mesh is None else mesh
         basis = Basis(self.mesh, ElementVector(ElementTetP2()), intorder=4)
         scalar = basis.with_element(ElementTetP2())
@@ -174,11 +239,11 @@ class ElasticBody:
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        self._triangle_tractions, self._mean = self._functionals(basis, parts.points[triangles])
+        self._triangle_tractions, self._mean = self._functionals(basis, cells.points[triangles])
 
     @cached_property
     def _answers(self) -> FloatArray:
-        """(S, 9 I): at each node and for each direction, the displacement that answers for each traction."""
+        """At each node and for each direction, the displacement that answers for each traction, (S, 9 I)."""
         functionals = sp.csr_matrix(self._mean @ self._triangle_tractions)
         answers = np.empty((3 * len(self.nodes), functionals.shape[0]))
         for start in range(0, answers.shape[1], BLOCK):
@@ -189,10 +254,18 @@ class ElasticBody:
         return answers.reshape(len(self.nodes), -1)
 
     def patch(self, points: FloatArray) -> FloatArray:
-        """(N, S) nodal forces of impacts of unit force at ``points`` (N, 3), in whatever direction.
+        """Spread impacts of unit force over the nodes, in whatever direction.
 
-        Each a Gaussian over the body of standard deviation PATCH_RADIUS, as in ``impact_field``, taken for a
-        function of the finite elements.
+        Parameters
+        ----------
+        points : ndarray of float64, shape (N, 3)
+            Where they are.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, S)
+            Nodal forces: a Gaussian over the body of standard deviation PATCH_RADIUS, as in ``impact_field``, taken
+            for a function of the finite elements.
         """
         result = np.empty((len(points), len(self.nodes)))
         for start in range(0, len(points), BLOCK):
@@ -204,16 +277,39 @@ class ElasticBody:
         return result
 
     def loads(self, points: FloatArray, directions: FloatArray) -> FloatArray:
-        """(D, N) nodal forces of unit impacts at ``points`` (N, 3) along unit ``directions`` (N, 3), balanced.
+        """Balance unit impacts by the inertia of the rigid motion that they cause.
 
-        What balances them is -ρ(a + α×r), a and α being the linear and angular acceleration of the rigid body that
-        the impact causes: no net force, no net torque.
+        Parameters
+        ----------
+        points : ndarray of float64, shape (N, 3)
+            Where they are.
+        directions : ndarray of float64, shape (N, 3)
+            Unit vectors.
+
+        Returns
+        -------
+        ndarray of float64, shape (D, N)
+            Nodal forces without net force or torque: the impact's, and -ρ(a + α×r), a and α being the linear and
+            angular acceleration of the rigid body.
         """
         impacts = np.einsum("ns,nk->skn", self.patch(points), directions).reshape(-1, len(points))
         return np.asarray(impacts - self._heavy @ np.linalg.solve(self._rigid.T @ self._heavy, self._rigid.T @ impacts))
 
     def displacements(self, points: FloatArray, directions: FloatArray) -> FloatArray:
-        """(D, N) the elastic displacements under ``loads``, without any rigid motion."""
+        """Solve for the elastic displacements under ``loads``.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (N, 3)
+            Where the impacts are.
+        directions : ndarray of float64, shape (N, 3)
+            Unit vectors.
+
+        Returns
+        -------
+        ndarray of float64, shape (D, N)
+            Displacements without any rigid motion.
+        """
         return np.hstack(
             [
                 self._solve(self.loads(points[start : start + BLOCK], directions[start : start + BLOCK]))
@@ -222,15 +318,35 @@ class ElasticBody:
         )
 
     def tractions_of(self, displacements: FloatArray) -> FloatArray:
-        """(N, I, 3) the tractions σ̄ n under displacements (D, N); σ̄ is the stress's mean over the interface."""
+        """Work out the tractions σ̄ n under displacements, σ̄ being the mean stress over an interface.
+
+        Parameters
+        ----------
+        displacements : ndarray of float64, shape (D, N)
+            Of N impacts.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, I, 3)
+            The tractions.
+        """
         return np.asarray(self._mean @ (self._triangle_tractions @ displacements)).T.reshape(
             -1, len(self.interfaces), 3
         )
 
-    def root_mean_square_drives(self, displacements: FloatArray) -> FloatArray:
-        """(N, I) ``breaking.effective`` triangle by triangle and then the root mean square over each interface.
+    def root_mean_square_loads(self, displacements: FloatArray) -> FloatArray:
+        """Work out how hard displacements load each interface, bending included.
 
-        Unlike the mean traction this sees bending, whose tension and compression cancel over a whole section.
+        Parameters
+        ----------
+        displacements : ndarray of float64, shape (D, N)
+            Of N impacts.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, I)
+            The root mean square, over each interface, of ``fracture.rule.effective_opening`` triangle by triangle.
+            Unlike the mean traction it sees bending, whose tension and compression cancel over a whole section.
         """
         normals = self.interfaces.normals[self._interface]
         result = np.empty((displacements.shape[1], len(self.interfaces)))
@@ -241,11 +357,19 @@ class ElasticBody:
         return result
 
     def tractions(self, points: FloatArray) -> FloatArray:
-        """(N, I, 3, 3) what turns the direction of a unit impact at each of ``points`` (N, 3) into tractions.
+        """Work out what turns the direction of a unit impact into tractions.
 
-        ``tractions(x)[0] @ d`` (I, 3) is what the second part of each pair does to the first, per unit of area; its
-        component along the interface's normal, which points from the first to the second, is positive in
-        tension.
+        Parameters
+        ----------
+        points : ndarray of float64, shape (N, 3)
+            Where the impacts are.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, I, 3, 3)
+            ``tractions(x)[0] @ d`` (I, 3) is what the second cell of each pair does to the first, per unit of area.
+            Its component along the interface's normal, which points from the first to the second, is positive in
+            tension.
         """
         result = np.empty((len(points), 3, len(self.interfaces), 3))
         for start in range(0, len(points), BLOCK):
@@ -254,14 +378,14 @@ class ElasticBody:
         return np.moveaxis(result, 1, 3)
 
     def _solve(self, loads: FloatArray) -> FloatArray:
-        """(D, N) the displacements under balanced loads (D, N), of no momentum and no angular momentum."""
+        """Solve for the displacements (D, N) under balanced loads (D, N), without momentum and angular momentum."""
         result = np.zeros(loads.shape)
         result[self._free] = self._factor.solve(loads[self._free])
         inertia = self._rigid.T @ self._heavy
         return np.asarray(result - self._rigid @ np.linalg.solve(inertia, self._heavy.T @ result))
 
     def _functionals(self, basis: Basis, corner: FloatArray) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """(3 T, D), displacement to σ n at the centres of the interfaces' T triangles, and (3 I, 3 T), their means.
+        """Assemble displacement to σ n at the centres of the interfaces' T triangles (3 T, D), and means (3 I, 3 T).
 
         The normal is the whole interface's: the triangles are only a staircase along the crack.
         """
@@ -284,7 +408,18 @@ class ElasticBody:
 
 
 def rigid_motions(nodes: FloatArray) -> FloatArray:
-    """(3 S, 6) the displacements of nodes (S, 3) in unit translations and infinitesimal turns about the mean."""
+    """Collect the rigid motions of nodes: unit translations, and infinitesimal turns about the mean.
+
+    Parameters
+    ----------
+    nodes : ndarray of float64, shape (S, 3)
+        Where they are.
+
+    Returns
+    -------
+    ndarray of float64, shape (3 S, 6)
+        Their displacements in each.
+    """
     arm = nodes - nodes.mean(axis=0)
     shifts = np.broadcast_to(np.eye(3), (len(nodes), 3, 3))
     turns = np.stack([np.cross(axis, arm) for axis in np.eye(3)], axis=2)
@@ -292,14 +427,27 @@ def rigid_motions(nodes: FloatArray) -> FloatArray:
 
 
 def rowwise(matrix: sp.csr_matrix, vectors: FloatArray) -> FloatArray:
-    """A matrix (S, S) between nodes applied to each component of vectors (3 S, N) on them."""
+    """Apply a matrix between nodes to each component of vectors on them.
+
+    Parameters
+    ----------
+    matrix : scipy.sparse.csr_matrix, shape (S, S)
+        Between nodes.
+    vectors : ndarray of float64, shape (3 S, N)
+        Node by node.
+
+    Returns
+    -------
+    ndarray of float64, shape (3 S, N)
+        The products.
+    """
     return np.asarray(matrix @ vectors.reshape(matrix.shape[0], -1)).reshape(vectors.shape)
 
 
-def _interface_triangles(parts: Solid, interfaces: Interfaces) -> tuple[IntArray, IntArray]:
-    """The triangles (T, 3) between different parts and the interface (T,) that each belongs to."""
-    between = (parts.sides >= 0).all(axis=1) & (parts.sides[:, 0] != parts.sides[:, 1])
-    pairs, interface = np.unique(np.sort(parts.sides[between], axis=1), axis=0, return_inverse=True)
+def _interface_triangles(cells: Solid, interfaces: Interfaces) -> tuple[IntArray, IntArray]:
+    """Find the triangles (T, 3) between different cells and the interface (T,) that each belongs to."""
+    between = (cells.sides >= 0).all(axis=1) & (cells.sides[:, 0] != cells.sides[:, 1])
+    pairs, interface = np.unique(np.sort(cells.sides[between], axis=1), axis=0, return_inverse=True)
     if not np.array_equal(pairs, interfaces.pairs):
-        raise BakeError("the interfaces are not those between the parts; take both from one simulator")
-    return parts.triangles[between], interface.reshape(-1)
+        raise BakeError("the interfaces are not those between the cells; take both from one simulator")
+    return cells.triangles[between], interface.reshape(-1)

@@ -1,6 +1,6 @@
-"""Fracture modes and what they make of a solid: atoms, the interfaces between them, and how an impact spreads.
+"""Fracture modes of a solid, and the atoms that they cut it into. Offline only; the modal simulator is built on them.
 
-After Sellán et al. 2022, *Breaking Good: Fracture Modes for Realtime Destruction*. Offline only.
+After Sellán et al. 2022, *Breaking Good: Fracture Modes for Realtime Destruction*.
 """
 
 from __future__ import annotations
@@ -23,16 +23,21 @@ JUMP = 0.1  # of a mode's largest jump: cells that no mode separates by more bel
 ATOM_FLOOR = 4e-3  # of the body's volume; smaller atoms join the neighbour they share most area with
 SETTLED = 1e-3  # change of a mode between iterations, in the mass norm, at which it has converged
 ITERATIONS = 20
-REPEATED = 0.995  # share of a start that may lie among the modes already found before another is drawn
+REPEATED = 0.995  # a start of which a larger share lies among the modes before is replaced by a random one
 
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Fracture modes of a solid.
+    """Fracture modes of a solid of C cells.
 
-    values: (K, C), one scalar per cell, orthonormal in the mass inner product.
-    objectives: per mode, the fracture energy after each iteration (never increasing).
-    restarts: how many modes were begun afresh because their start lay among those already found.
+    Attributes
+    ----------
+    values : ndarray of float64, shape (K, C)
+        One number for each mode and cell, orthonormal in the mass inner product.
+    objectives : tuple of tuple of float
+        For each mode, the fracture energy after each iteration; it never increases.
+    restarts : int
+        How many modes were begun again because their start lay among the modes before.
     """
 
     values: FloatArray
@@ -47,20 +52,44 @@ def fracture_modes(
     solver: str = "first-order",
     known: FloatArray | None = None,
 ) -> Modes:
-    """The ``count`` first non-trivial scalar fracture modes (Breaking Good, Algorithm 1).
+    """Find the first non-trivial scalar fracture modes of a solid.
 
-    Each minimises the area-weighted jumps between cells, orthogonal to those before and to the constants, of unit
-    length along its own previous iterate, until it settles; it starts from the Laplacian's eigenvector. An iterate
-    is feasible in the programme of the next, and no solution is shorter than it, so the energy never increases.
-    solver: of each programme; "first-order", or "interior-point", Clarabel's, which is exact and whose time grows
-    faster with the cells (benchmarks/modes.py). known: (K, C) modes found before, after which to go on; they are not
-    returned again. Raises BakeError if a solver fails.
+    Parameters
+    ----------
+    solid : Solid
+        Of C cells.
+    count : int
+        How many modes; fewer where the solid has not as many cells.
+    progress : callable
+        Hears the share that is done.
+    solver : str
+        Of each linear programme: "first-order", or "interior-point", which is Clarabel's, exact, and slower the more
+        cells there are (benchmarks/modes.py).
+    known : ndarray of float64, shape (K, C), optional
+        Modes found before, after which to go on. They are not returned again.
+
+    Returns
+    -------
+    Modes
+        ``count`` of them, the weakest first.
+
+    Raises
+    ------
+    BakeError
+        If a solver fails, or there is none of that name.
+
+    Notes
+    -----
+    Sellán et al. 2022, *Breaking Good*, Algorithm 1. Each mode minimises the area-weighted jumps between cells. It is
+    orthogonal to the modes before and to the constants, and of unit length along its own previous iterate; it is
+    iterated until it settles, from the Laplacian's eigenvector on. An iterate is feasible in the programme of the
+    next, and no solution is shorter than it, so the energy never increases.
     """
     pairs, areas, conductance = neighbours(solid)
     cells = len(solid.volumes)
     mass = solid.volumes / solid.volumes.sum()
-    found = [np.ones(cells), *([] if known is None else known)]
-    first = len(found) - 1
+    modes = [np.ones(cells), *([] if known is None else known)]  # the constants are the mode of a body that stays whole
+    first = len(modes) - 1
     count = max(0, min(count, cells - 2 - first))
     root = sp.diags(1.0 / np.sqrt(mass))
     scaled = root @ laplacian(pairs, conductance, cells) @ root
@@ -81,16 +110,16 @@ def fracture_modes(
     restarts = 0
     for k in range(count):
         c = guesses[first + k]
-        basis = np.array(found)
+        basis = np.array(modes)
         if np.linalg.norm(basis * mass @ c) > REPEATED:
             c = rng.standard_normal(len(guesses)) @ guesses
             restarts += 1
-        c = _orthogonal(c, found, mass)
+        c = _orthogonal(c, modes, mass)
         programme.begin(c)
         energies: list[float] = []
         stalled = 0
         while len(energies) < ITERATIONS and stalled < programme.patience:
-            u = _orthogonal(programme.solve(np.vstack([found, [c]]) * mass, c), found, mass)
+            u = _orthogonal(programme.solve(np.vstack([modes, [c]]) * mass, c), modes, mass)
             value = energy(u)
             if energies and value > energies[-1]:  # no exact solution does that; this one is not worth going on from
                 break
@@ -100,20 +129,34 @@ def fracture_modes(
             energies.append(value)
             if change < SETTLED:
                 break
-        found.append(c)
+        modes.append(c)
         history.append(tuple(energies))
         progress((k + 1) / count)
-    return Modes(np.array(found[first + 1 :]).reshape(-1, cells), tuple(history), restarts)
+    return Modes(np.array(modes[first + 1 :]).reshape(-1, cells), tuple(history), restarts)
 
 
-def _orthogonal(c: FloatArray, found: list[FloatArray], mass: FloatArray) -> FloatArray:
-    basis = np.array(found)
+def _orthogonal(c: FloatArray, modes: list[FloatArray], mass: FloatArray) -> FloatArray:
+    """Take the modes out of a vector and give it unit length, in the mass inner product."""
+    basis = np.array(modes)
     c = c - (basis * mass @ c) @ basis
     return np.asarray(c / np.sqrt(mass @ c**2))
 
 
 def atoms_from_modes(solid: Solid, modes: Modes) -> IntArray:
-    """(C,) the atom of each cell: cells that no mode separates, crumbs joined to their neighbour."""
+    """Group cells that no mode separates.
+
+    Parameters
+    ----------
+    solid : Solid
+        Of C cells.
+    modes : Modes
+        Of those cells.
+
+    Returns
+    -------
+    ndarray of int64, shape (C,)
+        The atom of each cell. Atoms smaller than ATOM_FLOOR have joined a neighbour.
+    """
     pairs, areas, _ = neighbours(solid)
     jump = np.abs(modes.values[:, pairs[:, 0]] - modes.values[:, pairs[:, 1]])
     joined = (jump <= JUMP * jump.max(axis=1, keepdims=True)).all(axis=0)

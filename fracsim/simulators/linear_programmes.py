@@ -1,4 +1,7 @@
-"""TODO simulators.linear_programmes."""
+"""Solvers of the linear programmes that fracture modes come from. Offline only; ``fracture_modes`` alone uses them.
+
+Each programme minimises the area-weighted jumps Σ areas |u_a - u_b| between cells, under linear equalities.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,32 @@ except ImportError as error:
 
 STEPS = 1000  # first-order steps a programme, for 5,000 cells
 TOLERANCE = 1e-9  # of the squared length of an iterate: a smaller squared residual ends the steps
+CHECKED_EVERY = 25  # steps: a check costs about as much as one
 RESTART = 0.09  # of the squared residual: how far it has to fall before the steps start from a new anchor
 
 
 def linear_programme(pairs: IntArray, areas: FloatArray, rows: FloatArray) -> FloatArray:
-    """The (n,) minimiser of Σ areas |u_a - u_b| with rows @ u = (0, ..., 0, 1), by Clarabel's interior point."""
+    """Minimise Σ areas |u_a - u_b| under rows @ u = (0, ..., 0, 1), by Clarabel's interior-point method.
+
+    Parameters
+    ----------
+    pairs : ndarray of int64, shape (I, 2)
+        Neighbouring cells a and b.
+    areas : ndarray of float64, shape (I,)
+        What they share.
+    rows : ndarray of float64, shape (K, C)
+        The equalities.
+
+    Returns
+    -------
+    ndarray of float64, shape (C,)
+        The minimiser u.
+
+    Raises
+    ------
+    BakeError
+        If the solver does not solve it.
+    """
     cells, faces = rows.shape[1], len(pairs)
     # Units in which costs and unknowns are about 1 keep the interior-point method well conditioned.
     cost = areas / areas.mean() / faces
@@ -45,7 +69,17 @@ def linear_programme(pairs: IntArray, areas: FloatArray, rows: FloatArray) -> Fl
 
 
 class InteriorPoint:
-    """Every programme solved to the end by Clarabel."""
+    """Solves every programme to the end, by Clarabel.
+
+    Attributes
+    ----------
+    patience : int
+        How many iterations of a mode in a row may gain next to nothing before it counts as settled.
+    pairs : ndarray of int64, shape (I, 2)
+        Neighbouring cells.
+    areas : ndarray of float64, shape (I,)
+        What they share.
+    """
 
     patience = 1
 
@@ -53,15 +87,57 @@ class InteriorPoint:
         self.pairs, self.areas = pairs, areas
 
     def begin(self, c: FloatArray) -> None:
-        pass
+        """Begin a mode.
+
+        Parameters
+        ----------
+        c : ndarray of float64, shape (C,)
+            Where it starts; an exact solver does not need it.
+        """
 
     def solve(self, rows: FloatArray, c: FloatArray) -> FloatArray:
+        """Solve a programme.
+
+        Parameters
+        ----------
+        rows : ndarray of float64, shape (K, C)
+            Its equalities, rows @ u = (0, ..., 0, 1).
+        c : ndarray of float64, shape (C,)
+            The iterate before; an exact solver does not need it.
+
+        Returns
+        -------
+        ndarray of float64, shape (C,)
+            The minimiser.
+
+        Raises
+        ------
+        BakeError
+            If the solver does not solve it.
+        """
         return linear_programme(self.pairs, self.areas, rows)
 
 
 class FirstOrder:
-    """Primal-dual steps, warm from programme to programme.
+    """Takes primal-dual steps, each programme from where the one before ended.
 
+    Attributes
+    ----------
+    patience : int
+        How many iterations of a mode in a row may gain next to nothing before it counts as settled.
+    pairs : ndarray of int64, shape (I, 2)
+        Neighbouring cells.
+    primal, dual : ndarray of float64, shape (C,) and (I,)
+        Step sizes of cells and pairs (Pock and Chambolle 2011, Eq. 10).
+    up, down : scipy.sparse.csr_matrix of float32, shape (I, C) and (C, I)
+        The weighted jumps and their transpose, times the step sizes.
+    steps : int
+        The most steps of one programme.
+    y : ndarray of float32, shape (I,)
+        The dual variable.
+
+    Notes
+    -----
     The saddle problem min_u max_|y|<=1 y·Ku, K = diag(areas) D, on the affine set rows @ u = e, by the preconditioned
     primal-dual method (Chambolle and Pock 2011; Pock and Chambolle 2011, Eq. 10) with reflected Halpern steps and
     restarts (Lu and Yang 2024, for linear programmes). A step costs two sparse products, linear in the cells, and
@@ -83,9 +159,35 @@ class FirstOrder:
         self.steps = round(STEPS * (cells / 5000) ** (1 / 3))
 
     def begin(self, c: FloatArray) -> None:
+        """Begin a mode.
+
+        Parameters
+        ----------
+        c : ndarray of float64, shape (C,)
+            Where it starts; the dual variable begins at the signs of its jumps.
+        """
         self.y = np.sign(c[self.pairs[:, 0]] - c[self.pairs[:, 1]]).astype(np.float32)
 
     def solve(self, rows: FloatArray, c: FloatArray) -> FloatArray:
+        """Take steps towards the solution of a programme.
+
+        Parameters
+        ----------
+        rows : ndarray of float64, shape (K, C)
+            Its equalities, rows @ u = (0, ..., 0, 1).
+        c : ndarray of float64, shape (C,)
+            The iterate before, where u starts.
+
+        Returns
+        -------
+        ndarray of float64, shape (C,)
+            Nearly the minimiser.
+
+        Raises
+        ------
+        BakeError
+            If the steps diverge.
+        """
         lift = np.linalg.solve(rows * self.primal @ rows.T, rows) * self.primal
         lift = np.ascontiguousarray(lift.T, dtype=np.float32)  # (C, K): back onto the affine set
         rows = rows.astype(np.float32)
@@ -102,7 +204,7 @@ class FirstOrder:
             y_next += y
             np.clip(y_next, -1.0, 1.0, out=y_next)
             since += 1
-            if since % 25 == 0:
+            if since % CHECKED_EVERY == 0:
                 residual = float(((u_next - u) ** 2 / self.primal).sum() + ((y_next - y) ** 2 / self.dual).sum())
                 if residual < TOLERANCE * float((u**2 / self.primal).sum()):
                     break

@@ -153,7 +153,7 @@ def test_a_turned_bar_answers_a_turned_blow_with_turned_tractions(whole):
 def test_the_mean_over_a_section_hides_bending_and_the_root_mean_square_shows_it(whole):
     displacement = whole.displacements(np.array([[0.0, 0.0, HALF]]), -Z[None])
     mean = effective_opening(whole.tractions_of(displacement), whole.interfaces.normals)[0, -1]
-    shown = whole.root_mean_square_drives(displacement)[0, -1]
+    shown = whole.root_mean_square_loads(displacement)[0, -1]
     moment, shear = 0.2**2 / 2, 0.2
     assert mean == pytest.approx(shear / THICK**2, rel=0.05)
     # Half of the section pulls with a root mean square of √12 M / h³.
@@ -227,5 +227,5 @@ def test_thin_bodies_get_smaller_tetrahedra(modal):
 def test_interfaces_of_other_parts_are_refused():
     solid, _ = sections(BOUNDS)
     other = Interfaces(np.array([[0, 2]]), np.ones(1), X[None], np.ones(1))
-    with pytest.raises(BakeError, match="not those between the parts"):
+    with pytest.raises(BakeError, match="not those between the cells"):
         ElasticBody(None, solid, other, bar_mesh())
