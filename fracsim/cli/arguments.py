@@ -12,12 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import FracsimError
-
-try:
-    from ..learning import MODELS
-except ImportError:
-    MODELS = {name: "" for name in ("mlp", "deltaconv", "field", "interfaces", "shared", "nearest")}
-
+from ..learning import MODELS
 from ..simulators import SIMULATORS
 
 Commands = argparse._SubParsersAction  # argparse gives what add_subparsers returns no other name

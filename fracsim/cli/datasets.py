@@ -70,7 +70,7 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
 
     from ..data.dataset import Dataset
     from ..data.writing import make_dataset, regenerate
-    from ..simulators.registry import SimulatorOptions
+    from ..simulators.registry import options_for
     from ..solids.surface import read_surface, refine
 
     begin = time.perf_counter()
@@ -86,7 +86,7 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
         seconds = regenerate(options.like, out, options.workers, options.backend, progress)
     else:
         settings = {"name": options.simulator, "cells": options.cells, "modes": options.modes}
-        simulator = SimulatorOptions(**{name: value for name, value in settings.items() if value is not None})
+        simulator = options_for(**{name: value for name, value in settings.items() if value is not None})
         total = SAMPLES if options.samples is None else options.samples
         if options.append is not None:
             if options.samples is not None or options.append < 1:
