@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .errors import AssetError
+from .errors import AssetError, FracsimError
+
+READABLE_BY_ALL = 0o644  # as an ordinary new file; temporary files are their owner's alone
 
 
-def write_beside(path: Path, data: bytes) -> None:
+def write_beside(path: Path, data: bytes, error: type[FracsimError] = AssetError) -> None:
     """Write a file under another name in the same folder, then rename it, so that no half of it is ever seen.
 
     Parameters
@@ -23,26 +25,28 @@ def write_beside(path: Path, data: bytes) -> None:
         Where the file shall be; one that is there is replaced.
     data : bytes
         Its content.
+    error : type of FracsimError
+        What to raise.
 
     Raises
     ------
-    AssetError
-        If the folder does not exist or cannot be written to.
+    FracsimError
+        Of the type ``error``, if the folder does not exist or the file cannot be written there.
     """
     if not path.parent.is_dir():
-        raise AssetError(f"{path}: the folder {path.parent} does not exist")
+        raise error(f"{path}: the folder {path.parent} does not exist")
     try:
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be written ({error.strerror})") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            os.chmod(temporary, READABLE_BY_ALL)
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as fault:
+        raise error(f"{path}: cannot be written ({fault.strerror})") from fault
 
 
 def header_of(data: bytes, key: str) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from ..geometry.sampling import CONE, SurfacePoints, cone, ratios
 from .arrays import AssetArrays, SimulatorRecord
 from .assemble import mass_properties
 from .breakable_piece import BreakablePiece
-from .file import SUFFIX, AssetContents, pack, unpack
+from .file import AssetContents, pack, read_source, unpack
 from .pieces import ConvexParts, Piece
 from .predictor import FieldWeights
 from .query import FractureQuery
@@ -385,16 +384,5 @@ def load(source: str | os.PathLike[str]) -> BreakableAsset:
     >>> fracsim.load("bunny").vertices.shape
     (3338, 3)
     """
-    path = Path(source)
-    shipped = resources.files("fracsim.meshes")
-    if not path.suffix and not path.exists():
-        entry = shipped / f"{source}{SUFFIX}"
-        if not entry.is_file():
-            names = sorted(item.name[: -len(SUFFIX)] for item in shipped.iterdir() if item.name.endswith(SUFFIX))
-            raise AssetError(f"{source}: no such asset; those that ship are {', '.join(names)}; or give a file")
-        data, where = entry.read_bytes(), str(source)
-    elif not path.is_file():
-        raise AssetError(f"{path}: no such file")
-    else:
-        data, where = path.read_bytes(), str(path)
+    data, where = read_source(source)
     return BreakableAsset(**vars(unpack(data, where)))

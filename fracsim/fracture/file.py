@@ -6,10 +6,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,6 +47,42 @@ class AssetContents:
     model: FieldWeights
     metadata: dict[str, Any]
     baked_from: SimulatorRecord
+
+
+def read_source(source: str | os.PathLike[str]) -> tuple[bytes, str]:
+    """Read the bytes of an asset's file.
+
+    Parameters
+    ----------
+    source : str or path
+        A file, or the name of an asset that ships.
+
+    Returns
+    -------
+    data : bytes
+        The file.
+    where : str
+        What messages call it.
+
+    Raises
+    ------
+    AssetError
+        If there is no such file, or it cannot be read.
+    """
+    path = Path(source)
+    if not path.suffix and not path.exists():
+        shipped = resources.files("fracsim.meshes")
+        entry = shipped / f"{source}{SUFFIX}"
+        if not entry.is_file():
+            names = sorted(item.name[: -len(SUFFIX)] for item in shipped.iterdir() if item.name.endswith(SUFFIX))
+            raise AssetError(f"{source}: no such asset; those that ship are {', '.join(names)}; or give a file")
+        return entry.read_bytes(), str(source)
+    if not path.is_file():
+        raise AssetError(f"{path}: no such file")
+    try:
+        return path.read_bytes(), str(path)
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def pack(contents: AssetContents) -> bytes:
