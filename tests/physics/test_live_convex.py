@@ -80,7 +80,7 @@ def test_an_unknown_decomposition_is_refused():
     p.disconnect(client)
 
 
-def test_a_script_without_a_guard_runs_once_and_needs_nothing_of_the_bake(tmp_path):
+def test_a_script_without_a_guard_runs_once_and_needs_nothing_of_the_bake(tmp_path, bake_extra):
     (tmp_path / "script.py").write_text(SCRIPT)
     (tmp_path / "numpy.py").write_text("raise ImportError('not this one')")
     for how, code in (("ends", 0), ("raises", 3)):
@@ -92,7 +92,7 @@ def test_a_script_without_a_guard_runs_once_and_needs_nothing_of_the_bake(tmp_pa
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
-def test_the_worker_ends_with_its_parent_however_that_ends(tmp_path, end):
+def test_the_worker_ends_with_its_parent_however_that_ends(tmp_path, bake_extra, end):
     (tmp_path / "script.py").write_text(SCRIPT)
     parent = subprocess.Popen([sys.executable, tmp_path / "script.py", "waits"], stdout=subprocess.PIPE, text=True)
     worker = next(int(line) for line in parent.stdout if line.strip().isdigit())
