@@ -21,11 +21,10 @@ from .bodies import Body
 from .bullet import Engine
 from .impact_solver import ImpactSolver, complementary_impulses, inverse_inertia
 from .rotations import rotation_of
-from .states import BodyContacts, Motion, Placement, RigidBody, Triple
+from .states import AT_REST, BodyContacts, Motion, Placement, RigidBody, Triple
 
 MANY, MOST = 32, 96  # contacts of a body from which on they are thinned out, and how many are left at most
 LOAD_DURATION = 1e-3  # s: a sustained force F counts as the impulse F LOAD; about what a hit of hard things lasts
-STILL: Motion = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +138,7 @@ def sustained_impulses(
     That share is what the contacts must carry to hold the body alone; a weight resting in a narrow wedge presses on its
     flanks with many times itself and still is no load.
     """
-    pose = body.pose(placement, STILL)
+    pose = body.pose(placement, AT_REST)
     own = _own(engine, body, placement)
     if own.mass == 0.0:
         return []

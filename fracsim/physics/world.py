@@ -91,7 +91,7 @@ class World:
     >>> import fracsim, pybullet
     >>> world = fracsim.World(pybullet.connect(pybullet.DIRECT))
     >>> body = world.add(fracsim.load("vase").scaled(0.3), position=(0, 0, 2), angular_velocity=(0, 0, 1))
-    >>> event = world.fracture(body, fracsim.Impulse((0, 0.1, 0), (0, -1, 0), 5.0))
+    >>> event = world.fracture(body, fracsim.Impulse((0, 0.1, 0), (0, -1, 0), 20.0))
     >>> len(event.children) == len(event.fracture.pieces)
     True
     >>> world.step()
@@ -130,6 +130,7 @@ class World:
         self._engine = engine
         self._callbacks: list[ContactCallback] = []
         self._state = WorldState(engine)
+        self._clock, self._activity, self._pieces = self._state.clock, self._state.activity, self._state.pieces
         self._last_step = LastStep(self._state)
         self._energy = EnergyBalance(self._state)
         exponent = None if fatigue is None else at_least(fatigue, 1.0, "fatigue")
@@ -157,12 +158,12 @@ class World:
             Where the client is no longer connected, or takes several substeps a step.
         """
         self._advance()
-        moved = self._energy.running() if self._state.pieces else None  # what breaks now has not moved yet
+        moved = self._energy.running() if self._pieces else None  # what breaks now has not moved yet
         suspects = self._observe()
         struck = self._predict_impacts(suspects) if suspects else []
         breaks = self._verdicts.decide(struck) if struck else []
         events = self._replacement.replace(breaks) if breaks else []
-        if self._state.pieces:
+        if self._pieces:
             self._dissipate(moved)
         return events
 
@@ -176,16 +177,16 @@ class World:
             raise
         if self.times_engine:
             self.engine_seconds = perf_counter() - start
-        if self._state.clock.tick():
+        if self._clock.tick():
             self._read_clock()
 
     def _read_clock(self) -> None:
-        if self._state.clock.read():
-            self._state.activity.wake_all()
+        if self._clock.read():
+            self._activity.wake_all()
 
     def _observe(self) -> list[BodyRecord]:
         """Find the breakable bodies that something may have struck, or presses on."""
-        activity, clock = self._state.activity, self._state.clock
+        activity, clock = self._activity, self._clock
         if not activity.records:
             return []
         try:
@@ -219,8 +220,8 @@ class World:
 
         It comes last, as what was before the next step follows from how this one left things.
         """
-        activity, gyroscopic = self._state.activity, self._state.gyroscopic
-        for body, motion in gyroscopic.correct(self._state.clock.time_step):
+        activity, gyroscopic = self._activity, self._state.gyroscopic
+        for body, motion in gyroscopic.correct(self._clock.time_step):
             activity.velocity_set(body, motion)
         activity.unwatched_movers = gyroscopic.moving - activity.records.keys()
         if moved is not None:
@@ -303,7 +304,7 @@ class World:
         [body] = spawn(self._engine, [asset], pose, surface, [WHOLE_COLOUR] if self.visuals else None)
         self._state.forget(body.id)  # a body of this id that somebody removed
         bearable_force = asset.bearable_impulse / LOAD_DURATION
-        self._state.activity.add(BodyRecord(body, asset, damping, asset.reach, bearable_force))
+        self._activity.add(BodyRecord(body, asset, damping, asset.reach, bearable_force))
         return body.id
 
     def remove(self, body: int) -> None:
@@ -368,7 +369,7 @@ class World:
             Its id; None for all of them.
         """
         self._state.forget_removed()
-        activity = self._state.activity
+        activity = self._activity
         for woken in tuple(activity.records) if body is None else (self._state.find(body).id,):
             if woken in activity.records:
                 activity.wake(activity.records[woken], suspect_next=True)
@@ -402,7 +403,7 @@ class World:
     @property
     def time(self) -> float:
         """Time simulated by `step`, s."""
-        return self._state.clock.time
+        return self._clock.time
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -414,7 +415,7 @@ class World:
     def pieces(self) -> tuple[int, ...]:
         """Ids of the pieces of everything that broke."""
         self._state.forget_removed()
-        return tuple(self._state.pieces)
+        return tuple(self._pieces)
 
     def asset(self, body: int) -> BreakableObject:
         """Give the asset of an unbroken body, at the body's scale.
