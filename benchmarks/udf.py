@@ -7,7 +7,7 @@ polyhedral distance (MMP, pygeodesic) on a mesh that has the crack curve for edg
 along the curve; on the sphere, cylinder and box it is known in closed form. Lengths are in units of the size,
 distances end at udf.CAP. The cracks are those of random impacts on the simulator's own body.
 
-pygeodesic (pip install pygeodesic) is needed for the truth on the meshes and one row. Without it the row is
+pygeodesic (the extra `check` brings it) is needed for the truth on the meshes and one row. Without it the row is
 missing, and the truth there is marched on a surface of 16 times the faces instead.
 """
 

@@ -136,9 +136,7 @@ def strengthened(asset: BreakableAsset, factor: float) -> BreakableAsset:
     return asset.with_material(replace(asset.material, tensile_strength=factor * asset.material.tensile_strength))
 
 
-def critical_height(
-    client: int, asset: BreakableAsset, orientation: FloatArray, rate: int, halvings: int = HALVINGS
-) -> float:
+def critical_height(client: int, asset: BreakableAsset, orientation: FloatArray, rate: int) -> float:
     """Find the lowest height from which a landing breaks an asset, by bisection of its logarithm.
 
     Parameters
@@ -151,8 +149,6 @@ def critical_height(
         Its quaternion x, y, z, w.
     rate : int
         Steps of the simulation, Hz.
-    halvings : int
-        How often the range is halved.
 
     Returns
     -------
@@ -160,7 +156,7 @@ def critical_height(
         m; exactly an end of RANGE where the height lies beyond it.
     """
     low, high = ends = tuple(np.log(RANGE))
-    for _ in range(halvings):
+    for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         if Fall(client, asset, orientation, float(np.exp(middle)), rate).land() is None:
             low = middle

@@ -9,13 +9,32 @@ import argparse
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ..common.errors import FracsimError
 from ..learning import MODELS
 from ..simulators import SIMULATORS
 
-Commands = argparse._SubParsersAction  # argparse gives what add_subparsers returns no other name
+
+class Commands(Protocol):
+    """What ``ArgumentParser.add_subparsers`` returns, for which argparse has no public name."""
+
+    def add_parser(self, name: str, *, help: str) -> argparse.ArgumentParser:
+        """Add a command.
+
+        Parameters
+        ----------
+        name : str
+            What it is called on the command line.
+        help : str
+            One line.
+
+        Returns
+        -------
+        ArgumentParser
+            For the command's own arguments.
+        """
+        ...
 
 
 def listed(names: Iterable[str], default: str | None = None) -> str:

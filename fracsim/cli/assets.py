@@ -24,12 +24,12 @@ PREDICTORS = "field (default), interfaces or simulator"
 TRIES = 20  # random impulses that are tried for each impact that view draws; at least one of them mostly breaks
 
 
-def add_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+def add_commands(commands: Commands) -> None:
     """Add the commands on assets to the command line.
 
     Parameters
     ----------
-    commands : argparse action
+    commands : Commands
         What ``ArgumentParser.add_subparsers`` returned.
     """
     add_bake(commands.add_parser("bake", help="make a breakable asset from a watertight mesh"))

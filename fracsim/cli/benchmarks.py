@@ -15,12 +15,12 @@ from .arguments import Commands, add_common, add_seed, listed
 from .output import require_folder
 
 
-def add_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+def add_commands(commands: Commands) -> None:
     """Add ``bench`` to the command line.
 
     Parameters
     ----------
-    commands : argparse action
+    commands : Commands
         What ``ArgumentParser.add_subparsers`` returned.
     """
     parser = commands.add_parser("bench", help="measure the running simulation on this machine")

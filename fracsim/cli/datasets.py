@@ -17,12 +17,12 @@ SAMPLES = 1000  # of a new dataset, unless the command line says otherwise
 KIB = 1024  # bytes; Linux counts a process's memory in KiB
 
 
-def add_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+def add_commands(commands: Commands) -> None:
     """Add the commands on datasets to the command line.
 
     Parameters
     ----------
-    commands : argparse action
+    commands : Commands
         What ``ArgumentParser.add_subparsers`` returned.
     """
     dataset = commands.add_parser("dataset", help="make a file of fracture samples, or describe one")

@@ -18,12 +18,12 @@ from .output import print_figures, require_file, require_folder
 VALIDATED = 200  # validation impacts, at most, that train's own figure is taken over: a second's work
 
 
-def add_commands(commands: Commands[argparse.ArgumentParser]) -> None:
+def add_commands(commands: Commands) -> None:
     """Add the commands on models to the command line.
 
     Parameters
     ----------
-    commands : argparse action
+    commands : Commands
         What ``ArgumentParser.add_subparsers`` returned.
     """
     add_train(commands.add_parser("train", help="fit a model to a dataset"))
