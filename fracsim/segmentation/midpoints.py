@@ -77,11 +77,11 @@ def midpoint_segmentation(graph: SurfaceGraph, nodes: AnyFloatArray, slack: floa
     straight = np.abs(middle_rest - 0.5 * (start + end)) <= STRAIGHT * np.minimum(start, end) + slack
     rows = np.flatnonzero(straight & (middle_rest > 0.5 * higher))
     rows = rows[np.argsort(middle_rest[rows], kind="stable")]
-    here = np.column_stack([first[rows], second[rows]]).ravel()
-    there = np.column_stack([second[rows], first[rows]]).ravel()
-    joins = alone[here]
+    vertex = np.column_stack([first[rows], second[rows]]).ravel()
+    neighbour = np.column_stack([second[rows], first[rows]]).ravel()
+    joins = alone[vertex]
     follows = np.arange(len(graph), dtype=np.int32)
-    follows[here[joins]] = there[joins]
+    follows[vertex[joins]] = neighbour[joins]
 
     labels = edges.connected(sure, follows, extra)
     return _join_by_links(graph, labels, heights) if len(graph.links) else labels

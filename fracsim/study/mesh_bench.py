@@ -144,7 +144,7 @@ class MeshBench:
         """Measure the watershed on validation impulses."""
         graph, watershed = self.segmentations.graph, METHODS["watershed"]
         labels = [watershed(graph, udf.astype(np.float64)) for udf in fields]
-        scores = [self._scores(validation, k, found) for k, found in enumerate(labels)]
+        scores = [self._scores(validation, k, pieces) for k, pieces in enumerate(labels)]
         return {**self._errors(validation, fields)[0], **_summary(scores)}
 
     def _errors(self, samples: Samples, fields: Float32Array) -> tuple[dict[str, float], list[float]]:

@@ -1,4 +1,7 @@
-"""Pictures of fractures, for people. Offline only."""
+"""Pictures of datasets and fractures, and the drawing of meshes that all charts share. Offline only.
+
+The command line and the other modules of studies use it.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +30,29 @@ except ImportError as error:
     raise MissingExtraError("matplotlib", "plot") from error
 
 
-COLUMNS, ROWS = 4, 3
-APART = 0.4  # how far pieces are drawn from where they were, of how far that is from the centre of mass
-LIGHT = np.array([0.3, 0.5, 0.81])  # in the frame of the picture: right, up, towards the eye
+COLUMNS, ROWS = 4, 3  # of samples on a sheet
+CHOICE = 10  # samples that are read for each that is drawn, so that every kind of impact can be among them
+APART = 0.4  # by how much pieces are moved apart, as a fraction of their distance from the body's centre of mass
+LIGHT = np.array([0.3, 0.5, 0.81])  # direction to the light in the frame of the picture: right, up, towards the eye
+AMBIENT = 0.35  # brightness of a face that the light does not reach
 
 
 def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
-    """Draw some of the first samples of a dataset that break the body: the pieces, and the distance field, each from
-    where it was hit.
+    """Draw samples of a dataset that break the body: pieces and distance field, seen from where the body was hit.
 
-    Raises DatasetError when there are none.
+    Parameters
+    ----------
+    path : str or Path
+        The dataset.
+    out : str or Path
+        The PNG file to write.
+    seed : int
+        Seed of the choice of samples.
+
+    Raises
+    ------
+    DatasetError
+        If no sample breaks the body.
     """
     from ..data.dataset import Dataset
     from ..data.samples import Samples
@@ -44,7 +60,8 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
 
     with Dataset(path) as dataset:
         breaking = [
-            block.take(np.flatnonzero(block.labels.any(axis=1))) for block in _enough(dataset.blocks(skip_damaged=True))
+            block.take(np.flatnonzero(block.labels.any(axis=1)))
+            for block in _first_breaking(dataset.blocks(skip_damaged=True))
         ]
         if not breaking:
             raise DatasetError(f"{path}: no sample breaks the body; there is nothing to draw")
@@ -63,9 +80,9 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
     for axis in axes:
         axis.set_axis_off()
     for k in range(len(shown)):
-        there = shown.severities[k] > 0
-        where = points.at(shown.faces[k, there], shown.barycentric[k, there])
-        outward = points.normals[shown.faces[k, there]].mean(axis=0)
+        used = shown.severities[k] > 0  # of the impulses that an impact may have
+        contacts = points.at(shown.faces[k, used], shown.barycentric[k, used])
+        outward = points.normals[shown.faces[k, used]].mean(axis=0)
         frame = view_frame(outward)
         left, right = axes[2 * k], axes[2 * k + 1]
         piece = np.array([np.bincount(row).argmax() for row in pieces[k][faces]])
@@ -73,7 +90,7 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
         draw_mesh(left, vertices, faces, colours, frame)
         draw_mesh(right, vertices, faces, matplotlib.colormaps["viridis"](fields[k][faces].mean(axis=1) / cap), frame)
         for axis in (left, right):
-            _arrows(axis, where, shown.directions[k, there], frame)
+            _draw_arrows(axis, contacts, shown.directions[k, used], frame)
         count = shown.labels[k].max() + 1
         left.set_title(f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × threshold, {count} pieces", fontsize=8)
         right.set_title("distance to the nearest crack", fontsize=8)
@@ -84,9 +101,18 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
 def picture_fractures(
     asset: BreakableAsset, impacts: Sequence[tuple[Sequence[Impulse], Fracture]], out: str | Path
 ) -> None:
-    """Draw fractures of an asset, a row each: the distance field with what struck it, the pieces, these pulled apart,
-    and their convex parts."""
-    titles = "distance to the nearest crack", "pieces", "pulled apart", "their convex parts"
+    """Draw fractures of an asset in rows: distance field and impulses, pieces, pieces apart, and their convex parts.
+
+    Parameters
+    ----------
+    asset : BreakableAsset
+        The asset.
+    impacts : sequence of tuple
+        The impulses of each impact, and the fracture that they cause.
+    out : str or Path
+        The PNG file to write.
+    """
+    titles = "distance to the nearest crack", "pieces", "pieces apart", "convex parts of the pieces"
     figure = Figure(figsize=(3.4 * len(titles), 3.2 * len(impacts)), layout="constrained")
     rows = figure.subplots(len(impacts), len(titles), squeeze=False)
     palette = matplotlib.colormaps["tab20"](np.arange(20))
@@ -94,17 +120,17 @@ def picture_fractures(
         frame = view_frame(-np.sum([impulse.direction for impulse in impulses], axis=0))
         distance = fracture.udf[asset.faces].mean(axis=1) / max(float(fracture.udf.max()), 1e-300)
         draw_mesh(axes[0], asset.vertices, asset.faces, matplotlib.colormaps["viridis"](distance), frame)
-        where = np.array([impulse.point for impulse in impulses])
-        ways = asset.size * np.array([impulse.direction for impulse in impulses])
-        _arrows(axes[0], where, ways, frame)
+        contacts = np.array([impulse.point for impulse in impulses])
+        arrows = asset.size * np.array([impulse.direction for impulse in impulses])
+        _draw_arrows(axes[0], contacts, arrows, frame)
         apart = [APART * (piece.center_of_mass - asset.center_of_mass) for piece in fracture.pieces]
         surfaces = [(piece.vertices, piece.faces) for piece in fracture.pieces]
         _draw_all(axes[1], surfaces, palette, frame)
-        moved = [(vertices + way, faces) for (vertices, faces), way in zip(surfaces, apart, strict=True)]
+        moved = [(vertices + offset, faces) for (vertices, faces), offset in zip(surfaces, apart, strict=True)]
         _draw_all(axes[2], moved, palette, frame)
         hulls = [
-            (vertices + way, faces)
-            for piece, way in zip(fracture.pieces, apart, strict=True)
+            (vertices + offset, faces)
+            for piece, offset in zip(fracture.pieces, apart, strict=True)
             for vertices, faces in piece.hulls
         ]
         _draw_all(axes[3], hulls, palette, frame)
@@ -119,7 +145,7 @@ def picture_fractures(
 
 
 def _draw_all(axis: Any, meshes: Sequence[tuple[FloatArray, IntArray]], palette: FloatArray, frame: FloatArray) -> None:
-    """Closed meshes, each in a colour of its own."""
+    """Draw closed meshes, each in a colour of its own."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
     vertices = np.vstack([vertices for vertices, _ in meshes])
     faces = np.vstack([faces + start for (_, faces), start in zip(meshes, starts, strict=False)])
@@ -128,25 +154,39 @@ def _draw_all(axis: Any, meshes: Sequence[tuple[FloatArray, IntArray]], palette:
 
 
 def as_png(figure: Figure, dpi: int) -> bytes:
+    """Render a figure.
+
+    Parameters
+    ----------
+    figure : Figure
+        The figure.
+    dpi : int
+        Pixels per inch.
+
+    Returns
+    -------
+    bytes
+        A PNG file.
+    """
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi)
     return buffer.getvalue()
 
 
-def _enough(blocks: Iterator[Samples]) -> Iterator[Samples]:
-    """Blocks, until there is a choice of ten pictures for each that is drawn."""
-    found = 0
+def _first_breaking(blocks: Iterator[Samples]) -> Iterator[Samples]:
+    """Read blocks with samples that break the body, until there is enough choice for a sheet."""
+    count = 0
     for block in blocks:
-        broke = int(block.labels.any(axis=1).sum())
-        if broke:
+        breaking = int(block.labels.any(axis=1).sum())
+        if breaking:
             yield block
-        found += broke
-        if found >= 10 * COLUMNS * ROWS:
+        count += breaking
+        if count >= CHOICE * COLUMNS * ROWS:
             return
 
 
 def _of_every_kind(kind: IntArray, count: int, rng: np.random.Generator) -> IntArray:
-    """Up to ``count`` random rows, of as many of each kind as there are."""
+    """Choose up to ``count`` random rows, as evenly from all kinds as possible; returns their indices, rising."""
     order = rng.permutation(len(kind))
     rank = np.empty(len(kind), dtype=np.int64)
     for each in np.unique(kind):
@@ -156,7 +196,18 @@ def _of_every_kind(kind: IntArray, count: int, rng: np.random.Generator) -> IntA
 
 
 def view_frame(outward: FloatArray) -> FloatArray:
-    """Rows right, up, towards the eye; the eye looks at the struck side, a little aslant, with z up."""
+    """Choose from where a body is seen: from the side that was hit, a little from above and aside, with z up.
+
+    Parameters
+    ----------
+    outward : ndarray of float64, shape (3,)
+        Direction from the body to whatever hit it; any length, 0 for none.
+
+    Returns
+    -------
+    ndarray of float64, shape (3, 3)
+        Rows: unit vectors to the right, up, and towards the eye.
+    """
     up = np.array([0.0, 0.0, 1.0])
     length = np.linalg.norm(outward)
     eye = outward / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
@@ -170,13 +221,27 @@ def view_frame(outward: FloatArray) -> FloatArray:
 
 
 def draw_mesh(axis: Any, vertices: FloatArray, faces: IntArray, colours: FloatArray, frame: FloatArray) -> None:
-    """Flat shading of a closed mesh: vertices (V, 3), faces (F, 3), colours (F, 3 or 4), frame of the eye (3, 3)."""
+    """Draw a closed mesh with one colour for each face, shaded by a light.
+
+    Parameters
+    ----------
+    axis : matplotlib.axes.Axes
+        Where it is drawn; its limits are set to the mesh.
+    vertices : ndarray of float64, shape (V, 3)
+        Positions.
+    faces : ndarray of int64, shape (F, 3)
+        Vertices of the triangles, anticlockwise seen from outside.
+    colours : ndarray of float64, shape (F, 3) or (F, 4)
+        Colours from 0 to 1; transparency is ignored.
+    frame : ndarray of float64, shape (3, 3)
+        What ``view_frame`` returns.
+    """
     corner = (vertices @ frame.T)[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-30)[:, None]
-    seen = np.flatnonzero(normal[:, 2] > 0)
-    seen = seen[np.argsort(corner[seen, :, 2].mean(axis=1))]  # the painter's way: far faces first
-    shade = 0.35 + 0.65 * np.clip(normal[seen] @ LIGHT, 0, 1)
+    seen = np.flatnonzero(normal[:, 2] > 0)  # faces that look towards the eye
+    seen = seen[np.argsort(corner[seen, :, 2].mean(axis=1))]  # far faces first, so that near ones cover them
+    shade = AMBIENT + (1 - AMBIENT) * np.clip(normal[seen] @ LIGHT, 0, 1)
     colour = np.concatenate([colours[seen, :3] * shade[:, None], np.ones((len(seen), 1))], axis=1)
     axis.add_collection(
         PolyCollection(list(corner[seen][:, :, :2]), facecolors=colour, edgecolors=colour, linewidths=0.3)
@@ -186,9 +251,10 @@ def draw_mesh(axis: Any, vertices: FloatArray, faces: IntArray, colours: FloatAr
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
-def _arrows(axis: Any, where: FloatArray, directions: FloatArray, frame: FloatArray) -> None:
-    tip = where @ frame[:2].T
-    tail = (where - 0.2 * directions) @ frame[:2].T
+def _draw_arrows(axis: Any, contacts: FloatArray, directions: FloatArray, frame: FloatArray) -> None:
+    """Draw impulses as arrows that end at their contacts (N, 3)."""
+    tip = contacts @ frame[:2].T
+    tail = (contacts - 0.2 * directions) @ frame[:2].T
     for start, end in zip(tail, tip, strict=True):
         axis.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": "red", "lw": 1.5}, zorder=5)
     axis.plot(*tip.T, "o", color="red", ms=3, zorder=6)

@@ -92,7 +92,7 @@ def fake(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def told(torus_dataset):
+def data(torus_dataset):
     with Dataset(torus_dataset) as dataset:
         body, samples = BodyGeometry.read(dataset)
     return body, samples.take(slice(200))
@@ -106,16 +106,16 @@ def study(tmp_path):
 SEARCH = Search("fake", FakeOptions(), SPACE, folds=2)
 
 
-def go(told, study, trials, search=SEARCH, **more):
-    tune.tune(search, *told, study, trials, **more)
+def go(data, study, trials, search=SEARCH, **more):
+    tune.tune(search, *data, study, trials, **more)
     return summary(study, search)
 
 
 # Folds and figures
 
 
-def test_folds_never_hold_a_test_sample_and_validate_each_other_one_once(told):
-    _, samples = told
+def test_folds_never_hold_a_test_sample_and_validate_each_other_one_once(data):
+    _, samples = data
     marked = samples.severities.sum(axis=1)
     test = set(marked[samples.split == 2])
     seen = []
@@ -130,10 +130,10 @@ def test_folds_never_hold_a_test_sample_and_validate_each_other_one_once(told):
     assert sorted(seen) == sorted(marked[samples.split != 2])
 
 
-def test_a_trial_is_the_mean_over_its_folds_and_the_median_of_single_queries(told, study):
-    found = go(told, study, 1)
+def test_a_trial_is_the_mean_over_its_folds_and_the_median_of_single_queries(data, study):
+    found = go(data, study, 1)
     (trial,) = found["trials"]
-    body, samples = told
+    body, samples = data
     assert [f.seed for f in Fake.fitted] == [0, 0]
     for k, (fit, error) in enumerate(zip(Fake.fitted, trial["folds"], strict=True)):
         assert fit.options == FakeOptions(**trial["parameters"])
@@ -149,9 +149,9 @@ def test_a_trial_is_the_mean_over_its_folds_and_the_median_of_single_queries(tol
     assert study.trials[0].values == [trial["amae"], trial["seconds"]]
 
 
-def test_the_search_finds_the_best_size_and_marks_the_front_and_the_choice_of_the_thesis(told, study, tmp_path):
+def test_the_search_finds_the_best_size_and_marks_the_front_and_the_choice_of_the_thesis(data, study, tmp_path):
     search = Search("fake", FakeOptions(), SPACE, folds=1)
-    found = go(told, study, 24, search, population=6)
+    found = go(data, study, 24, search, population=6)
     trials = found["trials"]
     assert len(trials) == found["counts"]["finished"] == 24
     assert min(t["amae"] for t in trials) == min(t["amae"] for t in trials if t["front"])
@@ -199,10 +199,10 @@ def check_charts(found):
     np.testing.assert_allclose(widths, [found["importances"]["amae"][name] for name in ("size", "cost")])
 
 
-def test_one_seed_draws_one_first_generation(told, tmp_path):
+def test_one_seed_draws_one_first_generation(data, tmp_path):
     def drawn(name, seed):
         search = Search("fake", FakeOptions(), SPACE, folds=1, seed=seed)
-        found = go(told, open_study(str(tmp_path / name), "s", search), 3, search)
+        found = go(data, open_study(str(tmp_path / name), "s", search), 3, search)
         return [trial["parameters"] for trial in found["trials"]]
 
     assert drawn("a", 1) == drawn("b", 1)
@@ -212,9 +212,9 @@ def test_one_seed_draws_one_first_generation(told, tmp_path):
 # Faults
 
 
-def test_a_fit_that_fails_is_a_failed_trial_and_counts(told, study):
+def test_a_fit_that_fails_is_a_failed_trial_and_counts(data, study):
     Fake.faults = dict.fromkeys(range(1, 7), ModelError("training diverged"))
-    found = go(told, study, 8, Search("fake", FakeOptions(), SPACE, folds=1))
+    found = go(data, study, 8, Search("fake", FakeOptions(), SPACE, folds=1))
     for trial in found["trials"]:
         diverged = trial["parameters"]["size"] < 7
         assert trial["state"] == ("fail" if diverged else "complete")
@@ -224,29 +224,29 @@ def test_a_fit_that_fails_is_a_failed_trial_and_counts(told, study):
     assert found["counts"]["finished"] == 8 - found["counts"]["failed"] > 0
 
 
-def test_answers_that_are_not_finite_fail_the_trial(told, tmp_path):
+def test_answers_that_are_not_finite_fail_the_trial(data, tmp_path):
     search = Search("fake", FakeOptions(), {"size": Range(13, 13)}, folds=1)
-    found = go(told, open_study(str(tmp_path / "j"), "s", search), 2, search)
+    found = go(data, open_study(str(tmp_path / "j"), "s", search), 2, search)
     assert found["chosen"] is None
     assert found["counts"] == {"finished": 0, "failed": 2, "interrupted": 0, "under way": 0}
     assert "finite" in found["trials"][0]["fault"]
     assert [path.name for path in write_figures(found, tmp_path)] == ["trials.json"]
 
 
-def test_a_fault_of_the_program_is_recorded_and_raised(told, study):
+def test_a_fault_of_the_program_is_recorded_and_raised(data, study):
     Fake.faults = dict.fromkeys(range(1, 13), TypeError("a slip"))
     with pytest.raises(TypeError, match="a slip"):
-        go(told, study, 3)
+        go(data, study, 3)
     assert [t.user_attrs["fault"] for t in study.trials] == ["TypeError: a slip"]
 
 
-def test_an_interrupted_trial_is_tried_again_and_does_not_count(told, study):
-    go(told, study, 1)
+def test_an_interrupted_trial_is_tried_again_and_does_not_count(data, study):
+    go(data, study, 1)
     Fake.faults = dict.fromkeys(range(1, 13), KeyboardInterrupt)
     with pytest.raises(KeyboardInterrupt):
-        go(told, study, 3)
+        go(data, study, 3)
     Fake.faults = {}
-    found = go(told, study, 3)
+    found = go(data, study, 3)
     assert [t["state"] for t in found["trials"]] == ["complete", "fail", "complete", "complete"]
     assert found["trials"][2]["parameters"] == found["trials"][1]["parameters"]
     assert found["counts"]["interrupted"] == 1
@@ -283,8 +283,8 @@ def test_every_space_fits_the_options_of_its_model():
     assert search_space("mlp", {"width": "64", "layers": "2:3"}) == {"width": Range(64, 64), "layers": Range(2, 3)}
 
 
-def test_an_empty_fold_is_refused_before_anything_is_fitted(told, study):
-    body, samples = told
+def test_an_empty_fold_is_refused_before_anything_is_fitted(data, study):
+    body, samples = data
     with pytest.raises(ModelError, match="fold 0 is empty"):
         go((body, samples.take(samples.fold != 0)), study, 1)
     assert not Fake.fitted
@@ -303,10 +303,10 @@ def test_a_study_is_not_mixed_with_one_about_something_else(tmp_path):
     open_study(storage, "other", Search("fake", FakeOptions(), SPACE, folds=3))
 
 
-def test_a_database_does_as_well(told, tmp_path):
+def test_a_database_does_as_well(data, tmp_path):
     url = f"sqlite:///{tmp_path / 'study.db'}"
-    go(told, open_study(url, "s", SEARCH), 1)
-    assert len(go(told, open_study(url, "s", SEARCH), 2)["trials"]) == 2
+    go(data, open_study(url, "s", SEARCH), 1)
+    assert len(go(data, open_study(url, "s", SEARCH), 2)["trials"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -330,12 +330,12 @@ def test_a_file_of_another_kind_is_left_as_it_is(tmp_path):
         assert (tmp_path / "j").read_bytes() == data
 
 
-def test_a_journal_that_was_cut_short_goes_on(told, tmp_path):
+def test_a_journal_that_was_cut_short_goes_on(data, tmp_path):
     path = tmp_path / "j"
-    go(told, open_study(str(path), "s", SEARCH), 1)
+    go(data, open_study(str(path), "s", SEARCH), 1)
     whole = path.read_bytes()
     path.write_bytes(whole + b'{"op_code":4,"wor')
-    found = go(told, open_study(str(path), "s", SEARCH), 2)
+    found = go(data, open_study(str(path), "s", SEARCH), 2)
     assert found["counts"]["finished"] == 2
     assert path.read_bytes().startswith(whole)
 
@@ -345,10 +345,10 @@ import sys
 sys.path.insert(0, sys.argv[1])
 import test_tune
 from fracsim.study.optuna_study import open_study
-told = test_tune.read(sys.argv[2])
+data = test_tune.read(sys.argv[2])
 test_tune.install(dict.__setitem__)
 print("ready", flush=True)
-test_tune.go(told, open_study(sys.argv[3], "s", test_tune.slow(float(sys.argv[5]))), int(sys.argv[4]))
+test_tune.go(data, open_study(sys.argv[3], "s", test_tune.slow(float(sys.argv[5]))), int(sys.argv[4]))
 """
 
 
@@ -403,7 +403,7 @@ def test_two_processes_share_a_study_and_one_takes_over_what_the_other_was_kille
     assert len({trial.user_attrs["process"] for trial in study.trials}) == 2
 
 
-def test_a_trial_that_kills_its_process_again_is_given_up(told, study):
+def test_a_trial_that_kills_its_process_again_is_given_up(data, study):
     def killed():
         trial = study.ask()
         trial.set_user_attr("process", f"{platform.node()}:{2**31}:1")
@@ -412,23 +412,23 @@ def test_a_trial_that_kills_its_process_again_is_given_up(told, study):
     first = killed()
     optuna_study.give_up_lost_trials(study)
     assert killed() == first
-    found = go(told, study, 3)
+    found = go(data, study, 3)
     assert [trial["state"] for trial in found["trials"]] == ["fail"] * 2 + ["complete"] * 3
     assert first not in [trial["parameters"] for trial in found["trials"][2:]]
     assert found["counts"] == {"finished": 3, "failed": 0, "interrupted": 2, "under way": 0}
 
 
-def test_a_trial_under_way_elsewhere_is_left_alone(told, study):
+def test_a_trial_under_way_elsewhere_is_left_alone(data, study):
     elsewhere = study.ask()
     elsewhere.set_user_attr("process", "another-machine:1:2")
-    found = go(told, study, 2)
+    found = go(data, study, 2)
     assert found["counts"] == {"finished": 2, "failed": 0, "interrupted": 0, "under way": 1}
 
 
-def test_a_trial_under_way_here_is_not_started_twice(told, study):
+def test_a_trial_under_way_here_is_not_started_twice(data, study):
     other = study.ask()
     other.set_user_attr("process", optuna_study.process_name("self"))
-    found = go(told, study, 2)
+    found = go(data, study, 2)
     assert found["counts"] == {"finished": 1, "failed": 0, "interrupted": 0, "under way": 1}
 
 
@@ -446,13 +446,13 @@ def test_the_command_tunes_a_perceptron_goes_on_and_says_what_it_chose(torus_dat
     out, figures = tmp_path / "t", tmp_path / "t.json"
     assert main(command(torus_dataset, out, "--trials", "1")) == 0
     assert main(command(torus_dataset, out, "--trials", "3", "--json", str(figures))) == 0
-    told = json.loads(figures.read_text())
-    assert told == json.loads((out / "trials.json").read_text())
-    assert [trial["state"] for trial in told["trials"]] == ["complete"] * 3
-    for trial in told["trials"]:
+    data = json.loads(figures.read_text())
+    assert data == json.loads((out / "trials.json").read_text())
+    assert [trial["state"] for trial in data["trials"]] == ["complete"] * 3
+    for trial in data["trials"]:
         assert 0 < trial["amae"] < CAP
         assert 8 <= trial["parameters"]["width"] <= 32
-    chosen = told["trials"][told["chosen"]]["parameters"]
+    chosen = data["trials"][data["chosen"]]["parameters"]
     assert f"--set width={chosen['width']}" in capsys.readouterr().out
     assert {path.name for path in out.iterdir()} == {"study.log", "trials.json", "pareto.png", "parallel.png"}
 
