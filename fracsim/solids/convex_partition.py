@@ -1,4 +1,7 @@
-"""TODO solids.convex_partition."""
+"""The partition of solids into convex parts: cut apart, split and joined as long as that pays. Offline only.
+
+``convex`` is the way in. What a part is worth is measured by the sample points of ``sampled_solid``.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..common.errors import BakeError, MissingExtraError
 from ..geometry.frames import tangent_basis
 from .hulls import Mesh, hull_points, thin_hull, within
+from .sampled_solid import REACH, SampledSolid
 
 try:
     import manifold3d
@@ -22,28 +26,14 @@ except ImportError as error:
 
 GAP = 1.5e-3  # of the largest extent, between parts of different solids; three times the engine's hull margin
 PRICE = 6.5e-5  # of the whole volume and a solid: what one more part must gain
-LEAST = 5e-3  # of its solid's volume: what a part must gain however few solids there are
-EXCESS = 0.4  # how bad volume outside of the solid is, measured by volume lost; gaps are lost whatever is done
-SAMPLES = 1500  # points inside each solid that volumes are told by
+LEAST_GAIN = 5e-3  # of its solid's volume: what a part must gain however few solids there are
 SMALLEST = 0.01  # of the solid's volume: smaller parts are dropped
-REACH = 0.01  # of the largest extent: how far a part may stick out of its solid
 BINS = 64  # offsets at which a direction's cut is tried
-
-
-@dataclass(frozen=True, eq=False)
-class _PartitionTarget:
-    """A surface and points spread evenly over its hull: whether each lies inside, and what holding it is worth."""
-
-    vertices: FloatArray
-    points: FloatArray  # (N, 3)
-    own: BoolArray  # (N,)
-    value: FloatArray  # (N,) volume
-    volume: float
 
 
 @dataclass(eq=False)
 class _ConvexPart:
-    """What is left of a hull behind some cuts, each a half-space normal · x <= offset kept from one other part."""
+    """A hull and its cuts, each a half-space normal · x <= offset that keeps it from one other part."""
 
     owner: int
     content: manifold3d.Manifold  # the piece of the solid whose hull it is
@@ -55,35 +45,76 @@ class _ConvexPart:
 
     @cached_property
     def box(self) -> FloatArray:
+        """The hull's bounding box, (2, 3)."""
         return np.array([self.corners.min(axis=0), self.corners.max(axis=0)])
 
 
 class ConvexPartition:
-    """The parts of all solids while they are cut, split and joined."""
+    """The convex parts of all solids while they are cut, split and joined.
+
+    Parameters
+    ----------
+    surfaces : sequence of (vertices, faces)
+        Watertight, of S solids.
+    pairs : ndarray of int64, shape (I, 2)
+        The solids that meet at each interface.
+    normals : ndarray of float64, shape (I, 3)
+        Of the interfaces, from the first to the second.
+    gap : float
+        How far parts of different solids stay apart, in units of the largest extent.
+
+    Attributes
+    ----------
+    gap : float
+        As above.
+    solids : list of SampledSolid
+        The S solids.
+    volume : float
+        Of all of them.
+    parts : list of list
+        The convex parts of each solid, as they are now.
+    hints : dict
+        The normal of the interface between two solids, by both orders of their indices.
+    around : ndarray of float64, shape (P, 4)
+        Planes of the hull of all solids, which no part may leave: what stands on a floor stands on that hull.
+    """
 
     def __init__(self, surfaces: Sequence[Mesh], pairs: IntArray, normals: FloatArray, gap: float) -> None:
         self.gap = gap
-        self.solids = [_sampled(vertices, faces) for vertices, faces in surfaces]
+        self.solids = [SampledSolid.of(vertices, faces) for vertices, faces in surfaces]
         self.volume = sum(solid.volume for solid in self.solids)
         self.parts: list[list[_ConvexPart]] = [[] for _ in surfaces]
         self.hints = {(int(a), int(b)): normal for (a, b), normal in zip(pairs, normals, strict=True)}
         self.hints |= {(b, a): -normal for (a, b), normal in self.hints.items()}
-        # What stands on a floor stands on its hull, so no part may stick out of that.
         around = ConvexHull(np.concatenate([vertices for vertices, _ in surfaces]))
         self.around = np.unique(np.round(around.equations, 9), axis=0)
 
     def begin(self, contents: Sequence[Sequence[manifold3d.Manifold]]) -> None:
-        """The first parts: the hulls of some pieces of each solid."""
-        for k, some in enumerate(contents):
-            self.parts[k] = [part for content in some if (part := self._hull(k, content)) is not None]
+        """Make the first parts, and cut them apart.
+
+        Parameters
+        ----------
+        contents : sequence of sequence of manifold3d.Manifold
+            For each solid, what its parts shall be the hulls of.
+        """
+        for k, of_solid in enumerate(contents):
+            self.parts[k] = [part for content in of_solid if (part := self._hull(k, content)) is not None]
         self._cut_all(0.0, lambda _: None)
 
     def refine(self, price: float, progress: Callable[[float], None]) -> None:
-        """Split and join parts while that is worth its price."""
-        # The more solids there are, the dearer a part, as a break makes bodies of all; and the shape of a small one
-        # counts for more than its volume.
-        dear = price * len(self.solids) * self.volume**0.5
-        prices = [max(dear * solid.volume**0.5, LEAST * solid.volume) for solid in self.solids]
+        """Split and join parts while that is worth its price.
+
+        Parameters
+        ----------
+        price : float
+            What one more part must gain, as PRICE.
+        progress : callable
+            Hears the share that is done.
+        """
+        # A part costs more the more solids there are, as a break makes bodies of all of them; and the shape of a small
+        # solid counts for more than its volume.
+        scale = price * len(self.solids) * self.volume**0.5
+        prices = [max(scale * solid.volume**0.5, LEAST_GAIN * solid.volume) for solid in self.solids]
         for k, solid in enumerate(self.solids):
             queue = list(self.parts[k])
             while queue:
@@ -104,7 +135,23 @@ class ConvexPartition:
             progress(0.8 + 0.2 * (k + 1) / len(self.solids))
 
     def finish(self, progress: Callable[[float], None]) -> list[list[FloatArray]]:
-        """Cut all once more, with more care, and give each part few corners."""
+        """Cut all parts once more, with more care, and give each few corners.
+
+        Parameters
+        ----------
+        progress : callable
+            Hears the share that is done.
+
+        Returns
+        -------
+        list of list of ndarray of float64, shape (n, 3)
+            For each solid its parts, each as the corners of its hull.
+
+        Raises
+        ------
+        BakeError
+            If a solid has no part left.
+        """
         for sweep in range(2):
             self._cut_all(REACH, lambda share, sweep=sweep: progress((sweep + share) * 0.3))  # type: ignore[misc]
         for k, solid in enumerate(self.solids):
@@ -123,9 +170,10 @@ class ConvexPartition:
             for part in self.parts[k]:
                 self._fit(part)
             progress(0.6 + 0.4 * (k + 1) / len(self.solids))
-        return [[part.shape for part in some] for some in self.parts]
+        return [[part.shape for part in of_solid] for of_solid in self.parts]
 
     def _hull(self, owner: int, content: manifold3d.Manifold) -> _ConvexPart | None:
+        """Make the hull of some content a part, unless it is flat."""
         points = hull_points(content)
         try:
             hull = ConvexHull(points)
@@ -136,9 +184,9 @@ class ConvexPartition:
         return _ConvexPart(owner, content, points[hull.vertices], planes[:, :3], inside)
 
     def _near(self, owner: int, box: FloatArray, reach: float) -> list[_ConvexPart]:
-        """The parts of other solids that would come closer to a box than the gap if both grew by ``reach``."""
+        """List the parts of other solids that would come closer to a box than the gap if both grew by ``reach``."""
         low, high = box + np.array([[-1.0], [1.0]]) * (self.gap + 2 * reach)
-        others = [other for k, some in enumerate(self.parts) if k != owner for other in some]
+        others = [other for k, of_solid in enumerate(self.parts) if k != owner for other in of_solid]
         if not others:
             return []
         boxes = np.array([other.box for other in others])
@@ -146,7 +194,7 @@ class ConvexPartition:
         return [others[k] for k in np.flatnonzero(near)]
 
     def _kept(self, part: _ConvexPart, without: _ConvexPart | None = None) -> BoolArray:
-        """(N,) the owner's points that the part holds, one cut left out."""
+        """Decide which of the owner's points (N,) the part holds, one cut left out."""
         cuts = [cut for other, cut in part.cuts.items() if other is not without]
         if not cuts:
             return part.inside
@@ -158,7 +206,7 @@ class ConvexPartition:
         return result
 
     def _held(self, owner: int, without: _ConvexPart | None = None) -> BoolArray:
-        """(N,) the points that all of a solid's parts hold together, one part left out."""
+        """Decide which points (N,) all of a solid's parts hold together, one part left out."""
         result = np.zeros(len(self.solids[owner].points), dtype=bool)
         for part in self.parts[owner]:
             if part is not without:
@@ -166,18 +214,20 @@ class ConvexPartition:
         return result
 
     def _worth(self, owners: Sequence[int]) -> float:
+        """Add up what the parts of some solids hold."""
         return sum(float(self.solids[k].value[self._held(k)].sum()) for k in owners)
 
     def _cut_all(self, reach: float, progress: Callable[[float], None]) -> None:
-        for k, some in enumerate(self.parts):
-            for part in some:
+        """Cut every part apart from those of other solids that are near."""
+        for k, of_solid in enumerate(self.parts):
+            for part in of_solid:
                 for other in self._near(k, part.box, reach):
                     if other.owner > k:
                         self._cut(part, other, 2)
             progress((k + 1) / len(self.parts))
 
     def _cut(self, first: _ConvexPart, second: _ConvexPart, rounds: int) -> None:
-        """Part two parts by the plane that costs least, whatever their other cuts take being gone already."""
+        """Cut two parts apart by the plane that costs least, given what their other cuts have taken already."""
         sides: list[tuple[FloatArray, FloatArray]] = []
         for part, other in ((first, second), (second, first)):
             solid = self.solids[part.owner]
@@ -208,7 +258,7 @@ class ConvexPartition:
         second.cuts[first] = -normal, -offset - self.gap / 2
 
     def _exchange(
-        self, old: list[_ConvexPart], options: Sequence[Sequence[manifold3d.Manifold]], least: float
+        self, old: list[_ConvexPart], options: Sequence[Sequence[manifold3d.Manifold]], required: float
     ) -> list[_ConvexPart]:
         """Put the hulls of the best of some contents in the place of parts if that gains at least so much."""
         owner, parts = old[0].owner, self.parts[old[0].owner]
@@ -228,22 +278,22 @@ class ConvexPartition:
                 for other in self._near(owner, part.box, 0.0):
                     self._cut(part, other, 0)
             gain = self._worth(owners) - before
-            if gain >= least:
-                least, best = gain, (new, [dict(other.cuts) for other in near])
+            if gain >= required:
+                required, best = gain, (new, [dict(other.cuts) for other in near])
             for other, saved in zip(near, cuts, strict=True):
                 other.cuts = dict(saved)
         if best is None:
             self.parts[owner] = parts
             return []
         self.parts[owner] = rest + best[0]
-        for other, found in zip(near, best[1], strict=True):
-            other.cuts = found
+        for other, kept in zip(near, best[1], strict=True):
+            other.cuts = kept
         return best[0]
 
     def _splits(self, part: _ConvexPart) -> list[tuple[FloatArray, float]]:
-        """Planes worth trying: between what the part holds and what it lost, and those with the smallest hulls."""
+        """List planes worth trying: between what the part holds and what it lost, and those with the smallest hulls."""
         solid = self.solids[part.owner]
-        own = part.inside & solid.own
+        own = part.inside & solid.inside
         points, corners = solid.points[own], hull_points(part.content)
         if len(points) < 30:
             return []
@@ -294,61 +344,18 @@ class ConvexPartition:
         for step in (0.3, 0.18, 0.1, 0.05):
             for i in range(len(shape)):
                 arm = shape[i] - shape.mean(axis=0)
-                for way in (step * arm, -step * arm):
-                    rate, room = walls @ way, np.maximum(ends - walls @ shape[i], 0.0)
+                for shift in (step * arm, -step * arm):
+                    rate, room = walls @ shift, np.maximum(ends - walls @ shape[i], 0.0)
                     share = min(1.0, float((room[rate > 1e-12] / rate[rate > 1e-12]).min(initial=1.0)))
                     if share < 0.05:
                         continue
                     moved = shape.copy()
-                    moved[i] += share * way
-                    found = float(value[within(points, ConvexHull(moved).equations)].sum())
-                    if found > best:
-                        best, shape = found, moved
+                    moved[i] += share * shift
+                    worth = float(value[within(points, ConvexHull(moved).equations)].sum())
+                    if worth > best:
+                        best, shape = worth, moved
                         break
         part.shape = shape[ConvexHull(shape).vertices]
-
-
-def _sampled(vertices: FloatArray, faces: IntArray) -> _PartitionTarget:
-    """Points evenly over the hull of a closed surface and a little further: about SAMPLES of them inside."""
-    volume = float(np.linalg.det(vertices[faces]).sum()) / 6
-    hull = ConvexHull(vertices)
-    low, high = vertices.min(axis=0) - REACH, vertices.max(axis=0) + REACH
-    spacing = (volume / SAMPLES) ** (1 / 3)
-    across, levels = (high - low)[:2], int(np.ceil((high - low)[2] / spacing))
-    columns = int(np.ceil(across.prod() / spacing**2))
-    k = np.arange(columns)[:, None]
-    # A sequence that fills the square evenly whatever its length (Roberts's R2), and the golden ratio for heights
-    ground = low[:2] + across * ((0.5 + k * np.array([0.7548776662466927, 0.5698402909980532])) % 1.0)
-    heights = low[2] + (high - low)[2] * (np.arange(levels) + k * 0.618033988749895 % 1.0) / levels
-    own = _below_odd(ground, heights, vertices[faces])
-    points = np.concatenate([np.repeat(ground[:, None], levels, axis=1), heights[..., None]], axis=2).reshape(-1, 3)
-    close = within(points, hull.equations, REACH)
-    points, own = points[close], own.ravel()[close]
-    weight = volume / max(1, int(own.sum()))
-    return _PartitionTarget(vertices, points, own, np.where(own, 1.0, -EXCESS) * weight, volume)
-
-
-def _below_odd(ground: FloatArray, heights: FloatArray, triangles: FloatArray) -> BoolArray:
-    """(C, L) which heights over points (C, 2) are inside a closed surface: an odd number of faces lies below."""
-    column, depth = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(triangles, 0, -1)
-    block = max(1, 2_000_000 // len(triangles))
-    for begin in range(0, len(ground), block):
-        x, y = ground[begin : begin + block, :, None].transpose(1, 0, 2)
-        u = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-        v = (cx - bx) * (y - by) - (cy - by) * (x - bx)
-        w = (ax - cx) * (y - cy) - (ay - cy) * (x - cx)
-        row, face = np.nonzero(((u >= 0) == (v >= 0)) & ((v >= 0) == (w >= 0)) & (u + v + w != 0))
-        p, q, r = u[row, face], v[row, face], w[row, face]
-        column.append(row + begin)
-        depth.append((q * az[face] + r * bz[face] + p * cz[face]) / (p + q + r))
-    low, high = triangles[..., 2].min(), triangles[..., 2].max()
-    scale = 0.5 / (high - low)
-    key = np.sort(np.concatenate(column) + 0.25 + (np.concatenate(depth) - low) * scale)
-    row = np.arange(len(ground))[:, None]
-    asked = row + 0.25 + np.clip((heights - low) * scale, -0.2, 0.7)
-    below: BoolArray = (np.searchsorted(key, asked) - np.searchsorted(key, row)) % 2 == 1
-    return below
 
 
 def _best_plane(
@@ -360,9 +367,9 @@ def _best_plane(
     gap: float,
     rounds: int,
 ) -> tuple[FloatArray, float]:
-    """The plane normal · x = offset of most worth for points a behind it and b before it, half a gap away from it.
+    """Find the plane normal · x = offset of most worth for points a behind it and b before it, half a gap away.
 
-    Of the directions given, then of some around the best one, closer in each round.
+    The directions are tried first, then some around the best one, closer in each round.
     """
     points, step = np.vstack([a, b]), np.append(worth_a, -worth_b)
     shift = np.repeat([gap / 2, -gap / 2], [len(a), len(b)])[:, None]
@@ -401,6 +408,6 @@ def _best_plane(
 
 
 def _discriminant(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The direction in which two clouds of points differ most, measured by their spread (Fisher)."""
+    """Find the direction in which two clouds of points differ most, measured by their spread (Fisher)."""
     spread = np.cov(a.T) + np.cov(b.T) + 1e-9 * np.eye(3)
     return np.linalg.solve(spread, b.mean(axis=0) - a.mean(axis=0))

@@ -1,4 +1,7 @@
-"""TODO solids.cut."""
+"""Cutting a lattice with a surface, exactly: the solid's cells are the parts of tetrahedra inside the body.
+
+Offline only. All questions about positions go through ``_orient``, so they never contradict each other.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,38 @@ from .polygons import triangulate_polygon
 from .solid import Solid, merge_small_regions, relabel, shared_faces, sum_by_index
 from .surface import Surface
 
-TRIES = 8  # lattices tried before a surface is called impossible; one is enough for any that we have met
+TRIES = 8  # lattices tried before a surface is called impossible; one has been enough for every surface so far
 SLIVER = 0.1  # of a whole tetrahedron; smaller cells are joined to the neighbour they share most area with
 
 
 class DegenerateCut(Exception):
-    """The lattice met the surface in a position that rounding cannot decide; another lattice will not."""
+    """The lattice met the surface in a position that rounding cannot decide; another lattice does not."""
 
 
 def cut_lattice(surface: Surface, cells: int, rng: np.random.Generator) -> Solid:
-    """Cut a jittered lattice of about ``cells`` tetrahedra with ``surface``.
+    """Cut a jittered lattice with a surface.
 
-    A tetrahedron that the surface leaves in several parts gives several cells, so two walls closer than the
-    spacing stay apart. Raises BakeError if no lattice gives cells that add up to the body.
+    A tetrahedron that the surface leaves in several parts gives several cells, so two walls closer than the spacing
+    stay apart.
+
+    Parameters
+    ----------
+    surface : Surface
+        Of largest extent 1.
+    cells : int
+        About how many tetrahedra meet the body. There are fewer cells, as small ones are joined.
+    rng : numpy.random.Generator
+        Places the lattice.
+
+    Returns
+    -------
+    Solid
+        Of the body.
+
+    Raises
+    ------
+    BakeError
+        If no lattice gives cells that add up to the body.
     """
     fault = ""
     for _ in range(TRIES):
@@ -42,16 +64,16 @@ def cut_lattice(surface: Surface, cells: int, rng: np.random.Generator) -> Solid
 
 
 def _unique_rows(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows sorted within themselves, made unique, and the index of each: ``sort(rows) == unique[inverse]``."""
+    """Sort rows within themselves and make them unique: ``sort(rows) == unique[inverse]``."""
     ordered = np.sort(rows, axis=1)
     unique, inverse = np.unique(ordered, axis=0, return_inverse=True)
     return unique, inverse.reshape(-1)
 
 
 def _orient(points: FloatArray, *corners: IntArray) -> FloatArray:
-    """Six times the signed volume of tetrahedra, positive when the fourth point is before the first three.
+    """Return six times the signed volume of tetrahedra, positive when the fourth point is before the first three.
 
-    Evaluated with the indices in ascending order whatever the caller's, so that every question about the
+    It is evaluated with the indices in ascending order whatever the caller's, so that every question about the
     same four points gets the same answer up to sign: that consistency is what keeps the complex closed.
     """
     quad = np.stack(corners, axis=1)
@@ -62,6 +84,7 @@ def _orient(points: FloatArray, *corners: IntArray) -> FloatArray:
 
 
 def _pierces(points: FloatArray, segment: IntArray, triangle: IntArray) -> npt.NDArray[np.bool_]:
+    """Decide which segments pass through their triangles."""
     p, q = segment.T
     a, b, c = triangle.T
     opposite = (_orient(points, a, b, c, p) > 0) != (_orient(points, a, b, c, q) > 0)
@@ -70,7 +93,7 @@ def _pierces(points: FloatArray, segment: IntArray, triangle: IntArray) -> npt.N
 
 
 def _crossing(points: FloatArray, segment: IntArray, triangle: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Where segments meet triangles' planes: parameters (N,) along the segment and points (N, 3)."""
+    """Find where segments meet triangles' planes: parameters (N,) along the segment and points (N, 3)."""
     p, q = segment.T
     a, b, c = triangle.T
     first, second = _orient(points, a, b, c, p), _orient(points, a, b, c, q)
@@ -79,7 +102,7 @@ def _crossing(points: FloatArray, segment: IntArray, triangle: IntArray) -> tupl
 
 
 def _candidates(vertices: FloatArray, faces: IntArray, points: FloatArray, tetrahedra: IntArray) -> IntArray:
-    """Pairs (surface face, tetrahedron) that may meet."""
+    """List pairs (surface face, tetrahedron) that may meet."""
     triangles, tets = vertices[faces], points[tetrahedra]
     middle, centre = triangles.mean(axis=1), tets.mean(axis=1)
     reach = np.linalg.norm(triangles - middle[:, None], axis=2).max(axis=1)
@@ -98,13 +121,13 @@ def _candidates(vertices: FloatArray, faces: IntArray, points: FloatArray, tetra
 
 
 def _pairs(left: IntArray, right: IntArray, width: int) -> tuple[IntArray, IntArray]:
-    """Unique pairs of the two arrays, ordered by ``left * width + right``."""
+    """Make pairs of the two arrays unique, ordered by ``left * width + right``."""
     keys = np.unique(left.astype(np.int64) * width + right)
     return keys // width, keys % width
 
 
 def _find(keys: IntArray, wanted: IntArray) -> IntArray:
-    """Positions of ``wanted`` in the sorted ``keys``, -1 where absent."""
+    """Find ``wanted`` in the sorted ``keys``; -1 where absent."""
     if len(keys) == 0:
         return np.full(wanted.shape, -1)
     position = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
@@ -112,11 +135,32 @@ def _find(keys: IntArray, wanted: IntArray) -> IntArray:
 
 
 def cut_once(surface: Surface, lattice: FloatArray, tetrahedra: IntArray) -> Solid:
-    """The arrangement of the surface and the lattice inside the body.
+    """Arrange the surface and one lattice inside the body.
 
-    Its vertices are surface vertices, surface edges through lattice facets, lattice edges through surface
-    faces, and lattice points inside. A face and a tetrahedron meet in a convex polygon; a facet and the body
-    meet in polygons bounded by where faces cross it and by the inner stretches of its edges.
+    Parameters
+    ----------
+    surface : Surface
+        Of largest extent 1.
+    lattice : ndarray of float64, shape (P, 3)
+        Points that cover the body.
+    tetrahedra : ndarray of int64, shape (T, 4)
+        Of positive volume.
+
+    Returns
+    -------
+    Solid
+        Every connected part of a tetrahedron is a cell.
+
+    Raises
+    ------
+    DegenerateCut
+        If rounding cannot decide how they meet.
+
+    Notes
+    -----
+    The vertices are surface vertices, surface edges through lattice facets, lattice edges through surface faces, and
+    lattice points inside. A face and a tetrahedron meet in a convex polygon; a facet and the body meet in polygons
+    bounded by where faces cross it and by the inner stretches of its edges.
     """
     vertices, faces = surface.vertices, surface.faces
     v, s = len(vertices), len(faces)
@@ -210,7 +254,7 @@ def _face_polygons(
     segment_facet: IntArray,
     points: FloatArray,
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Triangles of the input faces inside each tetrahedron: (N, 3), their tetrahedra and input faces."""
+    """Triangulate the input faces inside each tetrahedron: (N, 3), their tetrahedra and input faces."""
     t = len(tet_facets)
     # The tetrahedron that holds each surface vertex.
     vertex, tet = _pairs(faces[meet[:, 0]].ravel(), np.repeat(meet[:, 1], 3), t)
@@ -254,7 +298,7 @@ def _face_polygons(
 
 
 def _lattice_inside(count: int, lines: IntArray, pierced: IntArray) -> npt.NDArray[np.bool_]:
-    """Which lattice points lie inside: every passage through the surface changes sides."""
+    """Decide which lattice points lie inside: every passage through the surface changes sides."""
     odd = np.bincount(pierced, minlength=len(lines)) % 2 == 1
     graph = coo_matrix((np.ones(len(lines)), (lines[:, 0], lines[:, 1])), shape=(count, count)).tocsr()
     # The first line's first point is on the lattice's rim, hence outside.
@@ -277,7 +321,7 @@ def _stretches(
     base_line: int,
     base_point: int,
 ) -> IntArray:
-    """The parts of lattice edges that run inside the body: rows (edge, from, to), along the edge."""
+    """List the parts of lattice edges that run inside the body: rows (edge, from, to), along the edge."""
     low, high = (np.flatnonzero(inside[lines[:, k]]) for k in (0, 1))
     line = np.concatenate([pierced, low, high])
     where = np.concatenate([t, np.full(len(low), -1.0), np.full(len(high), 2.0)])
@@ -305,9 +349,10 @@ def _facet_polygons(
     segment_facet: IntArray,
     stretches: IntArray,
 ) -> tuple[IntArray, IntArray]:
-    """Triangles of the facets' parts inside the body, wound as the facets: (N, 3) and their facets."""
+    """Triangulate the facets' parts inside the body, wound as the facets: (N, 3) and their facets."""
 
     def normals(triangles: FloatArray) -> FloatArray:
+        """Return normals of any length."""
         return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
     facet_normal = normals(both[facets])
@@ -348,7 +393,7 @@ def _facet_polygons(
 
 
 def _connected_cells(triangles: IntArray, tets: IntArray) -> IntArray:
-    """The cells on both sides of each triangle: connected closed shells within one tetrahedron."""
+    """Label the cells on both sides of each triangle: connected closed shells within one tetrahedron."""
     rows, side = np.nonzero(tets >= 0)
     node_tet = tets[rows, side]
     ends = np.sort(triangles[rows][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -368,12 +413,23 @@ def _connected_cells(triangles: IntArray, tets: IntArray) -> IntArray:
 
 
 def measure_cells(points: FloatArray, triangles: IntArray, sides: IntArray, source: IntArray) -> Solid:
-    """Volumes and centroids of the cells, each by the divergence theorem about its own first point."""
+    """Measure the cells of a complex.
+
+    Parameters
+    ----------
+    points, triangles, sides, source : ndarray
+        As of ``Solid``.
+
+    Returns
+    -------
+    Solid
+        With volumes and centroids by the divergence theorem, each cell's about its own first point.
+    """
     cells = int(sides.max()) + 1
     origin = np.zeros((cells, 3))
     for side in (1, 0):
-        there = sides[:, side] >= 0
-        origin[sides[there, side]] = points[triangles[there, 0]]
+        bounded = sides[:, side] >= 0
+        origin[sides[bounded, side]] = points[triangles[bounded, 0]]
     volumes = np.zeros(cells)
     moments = np.zeros((cells, 3))
     for side, sign in ((0, 1.0), (1, -1.0)):
@@ -388,6 +444,18 @@ def measure_cells(points: FloatArray, triangles: IntArray, sides: IntArray, sour
 
 
 def join_slivers(solid: Solid) -> Solid:
+    """Join cells that are much smaller than a whole tetrahedron to a neighbour.
+
+    Parameters
+    ----------
+    solid : Solid
+        As ``cut_once`` made it.
+
+    Returns
+    -------
+    Solid
+        No cell has less than SLIVER of the volume that nine in ten cells do not exceed.
+    """
     pairs, areas, _ = shared_faces(solid.triangles, solid.sides, solid.points)
     floor = SLIVER * float(np.quantile(solid.volumes, 0.9))
     return relabel(solid, merge_small_regions(solid.volumes, pairs, areas, floor))

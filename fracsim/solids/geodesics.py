@@ -1,8 +1,9 @@
-"""Unsigned geodesic distance to the crack curve on a surface. Offline only.
+"""Unsigned geodesic distances on a surface to the curves where cells meet. Offline only.
 
-The curve of an interface is known exactly (segments inside the input's faces), so distances start from the
-straight ways to it at the corners and edge midpoints of the faces it crosses, within the face and across one edge,
-and fast marching carries them on over the surface with every face split in four.
+Datasets and models get their fields here. The curve of an interface is known exactly (segments inside the input's
+faces), so distances start from the straight lines to it at the corners and edge midpoints of the faces that it
+crosses, within the face and across one edge; fast marching carries them on over the surface with every face split in
+four (Kimmel and Sethian 1998, by geometry-central through potpourri3d).
 """
 
 from __future__ import annotations
@@ -27,7 +28,22 @@ CAP = 0.3  # of the largest extent: a field says nothing about cracks further aw
 
 
 def crack_segments(solid: Solid) -> tuple[IntArray, IntArray, IntArray]:
-    """Where cells meet on the surface: segments (S, 2) into points, cells (S, 2) ascending, input faces (S,)."""
+    """Find where cells meet on the surface.
+
+    Parameters
+    ----------
+    solid : Solid
+        Of C cells.
+
+    Returns
+    -------
+    segments : ndarray of int64, shape (S, 2)
+        Pairs of the solid's points.
+    cells : ndarray of int64, shape (S, 2)
+        The cells on both sides, the smaller index first.
+    faces : ndarray of int64, shape (S,)
+        A face of the input that each lies in.
+    """
     outer = np.flatnonzero(solid.source >= 0)
     ends = np.sort(solid.triangles[outer][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     row = np.repeat(outer, 3)
@@ -39,10 +55,23 @@ def crack_segments(solid: Solid) -> tuple[IntArray, IntArray, IntArray]:
 
 
 def split_in_four(surface: Surface) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-    """The surface with a node at every edge midpoint.
+    """Split every face of a surface in four, at its edge midpoints.
 
-    Returns nodes (V + E, 3), faces (4F, 3), edges (E, 2) and face_edges (F, 3): edge k of a face joins its
-    corners k and k + 1, and node V + e is the midpoint of edge e.
+    Parameters
+    ----------
+    surface : Surface
+        With V vertices, E edges and F faces.
+
+    Returns
+    -------
+    nodes : ndarray of float64, shape (V + E, 3)
+        Vertices, then midpoints: node V + e is the midpoint of edge e.
+    faces : ndarray of int64, shape (4 F, 3)
+        Of the nodes.
+    edges : ndarray of int64, shape (E, 2)
+        The vertices that each edge joins.
+    face_edges : ndarray of int64, shape (F, 3)
+        Edge k of a face joins its corners k and k + 1.
     """
     faces = surface.faces
     edges, inverse = np.unique(
@@ -57,16 +86,43 @@ def split_in_four(surface: Surface) -> tuple[FloatArray, IntArray, IntArray, Int
 
 
 class CurveDistances:
-    """Geodesic distances on one surface to the curves where parts of a solid meet: build once, ask often.
+    """Geodesic distances on one surface to the curves where cells of a solid meet: built once, asked often.
 
-    nodes: (V + E, 3), the surface's vertices and edge midpoints. segments: (S, 2) into the solid's points, the
-    curves' pieces; parts: (S, 2) ascending, the parts that meet there; faces: (S,) the input face each lies in.
+    Parameters
+    ----------
+    solid : Solid
+        Of P cells.
+    surface : Surface
+        Its outside.
+
+    Attributes
+    ----------
+    nodes : ndarray of float64, shape (V + E, 3)
+        The surface's vertices and edge midpoints.
+    vertices : int
+        V.
+    segments : ndarray of int64, shape (S, 2)
+        The pieces of the curves, pairs of the solid's points.
+    cells : ndarray of int64, shape (S, 2)
+        The cells that meet there, the smaller index first.
+    faces : ndarray of int64, shape (S,)
+        The input face that each segment lies in.
+    corners : ndarray of int64, shape (S, 6)
+        The nodes of that face.
+    beside : ndarray of float64, shape (S, 6)
+        Their distances to the segment; exact within the face.
+    beyond : ndarray of int64, shape (S, 9)
+        The nodes of the three faces next to it that are not its own.
+    across : ndarray of float64, shape (S, 9)
+        Their straight distances to the segment across the edge between; infinite where the line misses that edge.
+    solver : potpourri3d.MeshFastMarchingDistanceSolver
+        Marches over the split surface.
     """
 
     def __init__(self, solid: Solid, surface: Surface) -> None:
         self.nodes, fine, _, face_edges = split_in_four(surface)
         self.vertices = len(surface.vertices)
-        self.segments, self.parts, self.faces = crack_segments(solid)
+        self.segments, self.cells, self.faces = crack_segments(solid)
         self.corners = np.hstack([surface.faces, face_edges + len(surface.vertices)])[self.faces]  # (S, 6)
         start = solid.points[self.segments[:, 0], None]
         along = solid.points[self.segments[:, 1], None] - start
@@ -77,8 +133,7 @@ class CurveDistances:
         self.solver = potpourri3d.MeshFastMarchingDistanceSolver(self.nodes, fine)
 
     def _across(self, solid: Solid, surface: Surface, face_edges: IntArray) -> tuple[IntArray, FloatArray]:
-        """The nodes (S, 9) of the faces beside each segment's face that are not its own, and the straight ways
-        (S, 9) from them to the segment across the edge between, inf where the straight line misses that edge.
+        """Work out ``beyond`` and ``across``.
 
         A curve that clips a face's corner goes on in the next face, and may be nearer there to the far nodes of
         this one.
@@ -107,13 +162,26 @@ class CurveDistances:
         t = np.clip(((node - start) * line).sum(axis=3) / (line**2).sum(axis=3), 0.0, 1.0)
         foot = start + t[..., None] * line
         meets = along + height / np.maximum(height - foot[..., 1], 1e-300) * (foot[..., 0] - along)
-        way = np.linalg.norm(node - foot, axis=3)
-        way[(meets < 0) | (meets > length[:, :, None])] = np.inf
-        return far.reshape(-1, 9), way.reshape(-1, 9)
+        straight = np.linalg.norm(node - foot, axis=3)
+        straight[(meets < 0) | (meets > length[:, :, None])] = np.inf
+        return far.reshape(-1, 9), straight.reshape(-1, 9)
 
     def to(self, segments: IntArray) -> tuple[FloatArray, IntArray]:
-        """(V + E,) distance to the chosen segments (any number of indices), capped at CAP, and the nodes of the
-        faces that they cross, where it is exact unless the shortest way crosses two edges or more."""
+        """Measure distances to some segments.
+
+        Parameters
+        ----------
+        segments : ndarray of int64, shape (n,)
+            Which; there may be none.
+
+        Returns
+        -------
+        distances : ndarray of float64, shape (V + E,)
+            In units of the largest extent, at most CAP.
+        seeds : ndarray of int64, shape (s,)
+            The nodes of the faces that the segments lie in. There a distance is exact unless the shortest line
+            crosses two edges or more.
+        """
         if len(segments) == 0:
             return np.full(len(self.nodes), CAP), np.zeros(0, dtype=np.int64)
         seeds = np.unique(self.corners[segments])
@@ -124,21 +192,44 @@ class CurveDistances:
         return np.minimum(np.minimum(marched, straight), CAP), seeds
 
     def between(self, labels: IntArray) -> FloatArray:
-        """(V + E,) distance to the cracks between parts of different pieces; labels: (P,)."""
-        return self.to(np.flatnonzero(labels[self.parts[:, 0]] != labels[self.parts[:, 1]]))[0]
+        """Measure distances to the cracks of a fracture.
+
+        Parameters
+        ----------
+        labels : ndarray of int64, shape (P,)
+            The piece of each cell.
+
+        Returns
+        -------
+        ndarray of float64, shape (V + E,)
+            Distance to the nearest curve between cells of different pieces, at most CAP.
+        """
+        return self.to(np.flatnonzero(labels[self.cells[:, 0]] != labels[self.cells[:, 1]]))[0]
 
 
 def interface_distances(
     curves: CurveDistances, pairs: IntArray, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[FloatArray, IntArray]:
-    """Distances to the curve of each interface on its own.
+    """Measure distances to the curve of each interface on its own.
 
-    pairs: (I, 2) ascending, the interfaces. Returns distances (I, V + E), capped at CAP and at CAP throughout
-    where an interface does not reach the surface; and interface_vertices (I, VERTICES_PER_INTERFACE), vertices of the faces that each curve
-    crosses, evenly from the list of them, or -1 throughout.
+    Parameters
+    ----------
+    curves : CurveDistances
+        Of the solid whose interfaces they are.
+    pairs : ndarray of int64, shape (I, 2)
+        The interfaces' cells, the smaller index first.
+    progress : callable
+        Hears the share that is done.
+
+    Returns
+    -------
+    distances : ndarray of float64, shape (I, V + E)
+        At most CAP, and CAP throughout where an interface does not reach the surface.
+    interface_vertices : ndarray of int64, shape (I, VERTICES_PER_INTERFACE)
+        Vertices of the faces that each curve crosses, evenly taken from their list; -1 throughout where there are none.
     """
-    count = int(max(curves.parts.max(initial=0), pairs.max(initial=0))) + 1
-    key = curves.parts[:, 0] * count + curves.parts[:, 1]
+    count = int(max(curves.cells.max(initial=0), pairs.max(initial=0))) + 1
+    key = curves.cells[:, 0] * count + curves.cells[:, 1]
     order = np.argsort(key, kind="stable")
     low, high = (np.searchsorted(key[order], pairs[:, 0] * count + pairs[:, 1], side=s) for s in ("left", "right"))
     result = np.empty((len(pairs), len(curves.nodes)))

@@ -1,4 +1,7 @@
-"""TODO solids.hulls."""
+"""Convex hulls as point sets: made by CoACD, thinned, grown and packed. Offline only, but for live decomposition.
+
+``convex`` and ``convex_partition`` build on it. manifold3d and coacd are reached here and there only.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +21,31 @@ try:
 except ImportError as error:
     raise MissingExtraError(str(error.name), "bake") from error
 
-Mesh = tuple[FloatArray, IntArray]
+Mesh = tuple[FloatArray, IntArray]  # vertices (V, 3) and outward faces (F, 3) of a closed surface
 HULL_VERTICES = 20  # what an engine takes to build a hull grows with them
-COVER = 5e-4  # of the largest extent: how far a piece's parts may reach out of the unbroken body's
+COVER = 5e-4  # of the largest extent: how far a piece's convex parts may reach out of the unbroken body's
 CONCAVITY = 0.15  # CoACD's threshold
 
 
 def covering(hulls: Sequence[FloatArray], points: FloatArray) -> list[FloatArray]:
-    """The hulls, grown to where every point is in one of them, but for COVER: what a body breaks into must not reach
-    out of it, or it would stand inside what the body had only touched.
+    """Grow hulls until every point is in one of them, to within COVER.
 
-    The point furthest out goes to the hull that it stands out of least, until none is out.
+    What a body breaks into must not reach out of the body, or it would stand inside of what the body only touched.
+
+    Parameters
+    ----------
+    hulls : sequence of ndarray of float64, shape (n, 3)
+        The body's, as points.
+    points : ndarray of float64, shape (N, 3)
+        To be covered.
+
+    Returns
+    -------
+    list of ndarray of float64, shape (m, 3)
+        The grown hulls, as their corners. The point furthest outside is added to the hull that it is nearest to, until
+        none is outside.
     """
-    grown = [ConvexHull(some, incremental=True) for some in hulls]
+    grown = [ConvexHull(corners, incremental=True) for corners in hulls]
     out = np.array([(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in grown])
     while True:
         nearest = out.min(axis=0)
@@ -48,19 +63,48 @@ def covering(hulls: Sequence[FloatArray], points: FloatArray) -> list[FloatArray
 
 
 def within(points: FloatArray, planes: FloatArray, margin: float = 0.0) -> BoolArray:
+    """Decide which points lie behind all planes.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (N, 3)
+        Any.
+    planes : ndarray of float64, shape (P, 4)
+        Unit normals and offsets, normal · x + offset <= 0 being behind, as in ``scipy.spatial.ConvexHull.equations``.
+    margin : float
+        How far before a plane still counts as behind it.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        Whether each lies behind all of them.
+    """
     return np.asarray((points @ planes[:, :3].T + planes[:, 3] <= margin).all(axis=1))
 
 
-def thin_hull(points: FloatArray, most: int = HULL_VERTICES) -> FloatArray:
-    """A hull of at most so many of the points: each next one is that which adds most volume."""
+def thin_hull(points: FloatArray, limit: int = HULL_VERTICES) -> FloatArray:
+    """Choose few of a hull's corners.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (N, 3)
+        Whose hull it is.
+    limit : int
+        The most corners to keep.
+
+    Returns
+    -------
+    ndarray of float64, shape (n, 3)
+        At most ``limit`` of the corners; each one added was that which added most volume.
+    """
     points = points[ConvexHull(points).vertices]
-    if len(points) <= most:
+    if len(points) <= limit:
         return points
     chosen = [int(np.argmin(points[:, 0])), int(np.argmax(points[:, 0]))]
     start, axis = points[chosen[0]], points[chosen[1]] - points[chosen[0]]
     chosen.append(int(np.argmax(np.linalg.norm(np.cross(points - start, axis), axis=1))))
     chosen.append(int(np.argmax(np.abs((points - start) @ np.cross(axis, points[chosen[2]] - start)))))
-    while len(chosen) < most:
+    while len(chosen) < limit:
         hull = ConvexHull(points[chosen])
         corner = hull.points[hull.simplices]
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
@@ -69,20 +113,61 @@ def thin_hull(points: FloatArray, most: int = HULL_VERTICES) -> FloatArray:
 
 
 def as_manifold(vertices: FloatArray, faces: IntArray) -> manifold3d.Manifold:
-    # It takes no array that cannot be written to.
+    """Make a manifold3d solid of a closed surface.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        Of the surface.
+    faces : ndarray of int64, shape (F, 3)
+        Outward.
+
+    Returns
+    -------
+    manifold3d.Manifold
+        The solid.
+    """
+    # manifold3d takes no array that cannot be written to, hence the copies.
     return manifold3d.Manifold(
         manifold3d.Mesh64(np.array(vertices, order="C"), np.array(faces, dtype=np.uint64, order="C"))
     )
 
 
 def hull_points(solid: manifold3d.Manifold) -> FloatArray:
+    """List the points of a manifold3d solid.
+
+    Parameters
+    ----------
+    solid : manifold3d.Manifold
+        Any.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 3)
+        Its vertices, each once, in lexicographic order.
+    """
     return np.unique(np.asarray(solid.to_mesh64().vert_properties, dtype=np.float64)[:, :3], axis=0)
 
 
 def coacd_parts(
     surfaces: Sequence[Mesh], workers: int = 1, progress: Callable[[float], None] = lambda _: None
 ) -> list[list[FloatArray]]:
-    """CoACD's convex parts (Wei et al. 2022) of each surface as point sets, in ``workers`` processes."""
+    """Decompose surfaces into convex parts by CoACD (Wei et al. 2022).
+
+    Parameters
+    ----------
+    surfaces : sequence of (vertices, faces)
+        Watertight.
+    workers : int
+        Processes; below 2 all happens in this one.
+    progress : callable
+        Hears the share that is done.
+
+    Returns
+    -------
+    list of list of ndarray of float64, shape (n, 3)
+        For each surface, its parts as point sets.
+    """
     result: list[list[FloatArray]] = [[] for _ in surfaces]
     if workers < 2:
         for k, surface in enumerate(surfaces):
@@ -102,6 +187,20 @@ def coacd_parts(
 
 
 def run_coacd(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
+    """Decompose one surface by CoACD.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        Of the surface.
+    faces : ndarray of int64, shape (F, 3)
+        Outward and watertight.
+
+    Returns
+    -------
+    list of ndarray of float64, shape (n, 3)
+        Its parts as point sets.
+    """
     coacd.set_log_level("error")
     parts = coacd.run_coacd(
         coacd.Mesh(vertices, faces),
@@ -119,13 +218,40 @@ def run_coacd(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
 
 
 def pack(hulls: Sequence[FloatArray]) -> tuple[FloatArray, IntArray, IntArray]:
-    """Points and outward faces of hulls one after the other, and how many of each every hull has (H, 2)."""
+    """Put hulls one after the other in arrays.
+
+    Parameters
+    ----------
+    hulls : sequence of ndarray of float64, shape (n, 3)
+        Each its own hull's corners.
+
+    Returns
+    -------
+    points : ndarray of float64, shape (N, 3)
+        Of all hulls.
+    faces : ndarray of int64, shape (M, 3)
+        Outward, each hull's counted from its own first point.
+    sizes : ndarray of int64, shape (H, 2)
+        How many points and faces each hull has.
+    """
     faces = [hull_faces(points) for points in hulls]
-    sizes = np.array([(len(points), len(some)) for points, some in zip(hulls, faces, strict=True)])
+    sizes = np.array([(len(points), len(sides)) for points, sides in zip(hulls, faces, strict=True)])
     return np.concatenate(hulls), np.concatenate(faces), sizes
 
 
 def hull_faces(points: FloatArray) -> IntArray:
+    """Find the faces of a hull.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n, 3)
+        Each a corner of the hull.
+
+    Returns
+    -------
+    ndarray of int64, shape (m, 3)
+        Outward triangles of the points.
+    """
     hull = ConvexHull(points)
     faces = hull.simplices.astype(np.int64)
     corner = points[faces]

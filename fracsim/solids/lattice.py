@@ -1,4 +1,7 @@
-"""TODO solids.lattice."""
+"""The tetrahedral lattice that a surface is cut with. Offline only; ``cut`` uses it.
+
+It is body-centred cubic, turned away from the body's own axes, and jittered.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,29 @@ TILT = 0.2  # rad; against the body's own axes, so that no facet is parallel to 
 
 
 def body_centred_lattice(counts: IntArray, spacing: float) -> tuple[FloatArray, IntArray]:
-    """A body-centred cubic lattice of ``counts`` cells and its tetrahedra, four around every inner cube face.
+    """Make a body-centred cubic lattice and its tetrahedra, four around every inner face of a cube.
 
-    Returns points (P, 3) and tetrahedra (T, 4), positively oriented (Labelle and Shewchuk 2007, section 2).
+    Parameters
+    ----------
+    counts : ndarray of int64, shape (3,)
+        How many cubes along each axis.
+    spacing : float
+        The edge of a cube.
+
+    Returns
+    -------
+    points : ndarray of float64, shape (P, 3)
+        Corners and centres of the cubes.
+    tetrahedra : ndarray of int64, shape (T, 4)
+        Of positive volume.
+
+    Notes
+    -----
+    Labelle and Shewchuk 2007, *Isosurface stuffing*, section 2.
     """
 
     def grid(shape: IntArray) -> IntArray:
+        """List the indices of a grid."""
         return np.stack(np.meshgrid(*[np.arange(k) for k in shape], indexing="ij"), -1).reshape(-1, 3)
 
     corners, bodies = grid(counts + 1), grid(counts)
@@ -41,8 +61,22 @@ def body_centred_lattice(counts: IntArray, spacing: float) -> tuple[FloatArray, 
 
 
 def lattice_spacing(volume: float, area: float, cells: int) -> float:
-    """Spacing a at which about ``cells`` tetrahedra meet a body: cells = 12 V/a³ + 6 A/a².
+    """Choose the spacing at which about so many tetrahedra meet a body.
 
+    Parameters
+    ----------
+    volume, area : float
+        V and A of the body.
+    cells : int
+        How many tetrahedra are wanted.
+
+    Returns
+    -------
+    float
+        The spacing a that solves cells = 12 V/a³ + 6 A/a².
+
+    Notes
+    -----
     A tetrahedron has volume a³/12; the second term is the layer that the surface passes through.
     """
     roots = np.roots([cells, 0.0, -6.0 * area, -12.0 * volume])
@@ -50,6 +84,24 @@ def lattice_spacing(volume: float, area: float, cells: int) -> float:
 
 
 def tilted_lattice(surface: Surface, cells: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+    """Make a lattice that covers a surface, tilted against its axes and jittered.
+
+    Parameters
+    ----------
+    surface : Surface
+        To be cut.
+    cells : int
+        About how many tetrahedra shall meet it.
+    rng : numpy.random.Generator
+        The source of tilt, place and jitter.
+
+    Returns
+    -------
+    points : ndarray of float64, shape (P, 3)
+        In the surface's frame.
+    tetrahedra : ndarray of int64, shape (T, 4)
+        Of positive volume.
+    """
     mesh = surface.trimesh
     spacing = lattice_spacing(mesh.volume, mesh.area, cells)
     axes = mesh.bounding_box_oriented.primitive.transform[:3, :3]

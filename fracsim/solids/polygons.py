@@ -1,4 +1,7 @@
-"""TODO solids.polygons."""
+"""Planar polygons: loops of edges, their triangles, and a solid's outside without the lattice's marks.
+
+Offline only. ``cut`` triangulates with it; the simulators simplify their atoms with ``coarsen``.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +20,30 @@ except ImportError as error:
 
 
 def boundary_loops(points: FloatArray, start: IntArray, end: IntArray, frame: FloatArray) -> list[list[int]]:
-    """Closed loops of directed planar edges with the region to their left; regions touching in a point part."""
-    ways: dict[int, list[int]] = {}
+    """Chain directed planar edges into closed loops, with the region to their left.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (P, 3)
+        What the edges join.
+    start, end : ndarray of int64, shape (N,)
+        The edges.
+    frame : ndarray of float64, shape (3, 2)
+        Two axes in the plane.
+
+    Returns
+    -------
+    list of list of int
+        The points of each loop in order. Regions that touch in a point get loops of their own.
+    """
+    next_points: dict[int, list[int]] = {}
     for a, b in zip(start.tolist(), end.tolist(), strict=True):
-        ways.setdefault(a, []).append(b)
+        next_points.setdefault(a, []).append(b)
     # Where the region touches itself, the way on is the first one clockwise from the way back: it bounds the
     # same wedge of the region.
     after: dict[tuple[int, int], int] = {}
     for a, b in zip(start.tolist(), end.tolist(), strict=True):
-        choices = ways[b]
+        choices = next_points[b]
         if len(choices) > 1:
             arms = (points[[a, *choices]] - points[b]) @ frame
             angle = np.arctan2(arms[:, 1], arms[:, 0])
@@ -49,9 +67,23 @@ def triangulate_polygon(
     triangle: FloatArray,
     needed: npt.NDArray[np.bool_] | None = None,
 ) -> IntArray:
-    """Triangles (N, 3) over the planar region to the left of the directed edges, wound like ``triangle`` (3, 3).
+    """Triangulate the planar region to the left of directed edges.
 
-    ``needed`` drops points from the rim that lie on straight stretches of it.
+    Parameters
+    ----------
+    points : ndarray of float64, shape (P, 3)
+        What the edges join.
+    start, end : ndarray of int64, shape (N,)
+        The edges.
+    triangle : ndarray of float64, shape (3, 3)
+        Three points of the plane, wound as the result shall be.
+    needed : ndarray of bool, shape (P,), optional
+        Which points the result must keep; the others must lie on straight stretches of the rim.
+
+    Returns
+    -------
+    ndarray of int64, shape (T, 3)
+        Triangles of the points.
     """
     across = triangle[1] - triangle[0]
     up = np.cross(np.cross(across, triangle[2] - triangle[0]), across)
@@ -69,8 +101,19 @@ def triangulate_polygon(
 def coarsen(solid: Solid, surface: Surface) -> Solid:
     """Undo the lattice's marks on the outer faces wherever no inner triangle needs them.
 
-    Each input face comes out as one polygon per cell it touches, triangulated anew; inner triangles stay, so
-    the complex stays closed. Points that nothing uses any more go; the surface's vertices stay first.
+    Parameters
+    ----------
+    solid : Solid
+        A union of cells of a cut lattice.
+    surface : Surface
+        What was cut.
+
+    Returns
+    -------
+    Solid
+        Of the same cells. Each input face comes out as one polygon for each cell that it touches, triangulated again;
+        inner triangles stay, so the complex stays closed. Points that nothing uses are dropped; the surface's vertices
+        stay first.
     """
     inner = solid.source < 0
     needed = np.zeros(len(solid.points), dtype=bool)

@@ -1,4 +1,7 @@
-"""Surfaces: read, check, and bring to largest extent 1. Offline only; the one place that reads mesh files."""
+"""Surfaces: read, check, and scale to largest extent 1. Offline only.
+
+This is the one place that reads mesh files; all that is offline starts from its ``Surface``.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,18 @@ LONGEST = 0.08  # of the largest extent: edges longer than that are split before
 class Surface:
     """A closed surface of one component with outward faces.
 
-    vertices: (V, 3), of largest extent 1. faces: (F, 3).
-    scale, offset: m; the file's coordinates are ``vertices * scale + offset``.
-    name: where it came from, for messages.
+    Attributes
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        Scaled so that the largest extent is 1.
+    faces : ndarray of int64, shape (F, 3)
+        Indices of vertices, counter-clockwise seen from outside.
+    scale : float
+        m. The file's coordinates are ``vertices * scale + offset``.
+    offset : ndarray of float64, shape (3,)
+        m.
+    name : str
+        Where it came from, for messages.
     """
 
     vertices: FloatArray
@@ -36,15 +48,28 @@ class Surface:
 
     @property
     def trimesh(self) -> trimesh.Trimesh:
+        """The same vertices and faces as a trimesh, which measures them."""
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
 def read_surface(source: str | Path | trimesh.Trimesh) -> Surface:
     """Read and check a surface that can be baked.
 
-    source: a path to any format trimesh reads, or a Trimesh.
-    Raises MeshError, naming the file and the fault, if it is missing, unreadable, empty, not finite,
-    not watertight, in several parts, without volume, or folded through itself into negative volume.
+    Parameters
+    ----------
+    source : path or trimesh.Trimesh
+        A path may be of any format that trimesh reads.
+
+    Returns
+    -------
+    Surface
+        Of largest extent 1.
+
+    Raises
+    ------
+    MeshError
+        If it is missing, unreadable, empty, not finite, not watertight, in several components, or without volume. The
+        message names the file and the fault.
     """
     if isinstance(source, trimesh.Trimesh):
         return _check(source, "mesh")
@@ -59,10 +84,27 @@ def read_surface(source: str | Path | trimesh.Trimesh) -> Surface:
 
 
 def refine(surface: Surface, longest: float = LONGEST) -> Surface:
-    """The same surface with no edge longer than ``longest``, as given where it has none.
+    """Split the long edges of a surface.
 
-    A field has its values at vertices, so faces larger than the pieces that break off leave it blind. New
-    vertices lie on the old edges and faces, conformingly; the shape does not change.
+    A field has its values at vertices, so it cannot show pieces that are smaller than a face. New vertices lie on the
+    old edges and faces, and the shape does not change.
+
+    Parameters
+    ----------
+    surface : Surface
+        Of any edges.
+    longest : float
+        In units of the largest extent.
+
+    Returns
+    -------
+    Surface
+        With no edge longer than ``longest``; the same object where there was none.
+
+    Raises
+    ------
+    MeshError
+        If the surface is no manifold.
     """
     edges = surface.vertices[surface.faces] - surface.vertices[np.roll(surface.faces, -1, axis=1)]
     if np.linalg.norm(edges, axis=2).max() <= longest:
@@ -76,7 +118,18 @@ def refine(surface: Surface, longest: float = LONGEST) -> Surface:
 
 
 def split_faces(surface: Surface) -> Surface:
-    """The same surface with every face split in three at its centroid: about three times the vertices."""
+    """Split every face of a surface in three, at its centroid.
+
+    Parameters
+    ----------
+    surface : Surface
+        With F faces.
+
+    Returns
+    -------
+    Surface
+        Of the same shape with F more vertices and 3 F faces.
+    """
     count, (a, b, c) = len(surface.vertices), surface.faces.T
     middle = count + np.arange(len(surface.faces))
     faces = np.stack([[a, b, middle], [b, c, middle], [c, a, middle]]).transpose(2, 0, 1).reshape(-1, 3)
@@ -85,6 +138,7 @@ def split_faces(surface: Surface) -> Surface:
 
 
 def _check(mesh: trimesh.Trimesh, name: str) -> Surface:
+    """Make a surface of a mesh, or say what is wrong with it."""
     vertices = np.array(mesh.vertices, dtype=np.float64)
     faces = np.array(mesh.faces, dtype=np.int64)
     if len(vertices) == 0 or len(faces) == 0:

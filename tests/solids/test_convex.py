@@ -14,8 +14,9 @@ from scipy.spatial import ConvexHull
 from fracsim.baking import remake_convex
 from fracsim.common.errors import BakeError
 from fracsim.solids.convex import BODY_VERTICES, clip_apart, decompose, separate
-from fracsim.solids.convex_partition import GAP, REACH
+from fracsim.solids.convex_partition import GAP
 from fracsim.solids.hulls import HULL_VERTICES, coacd_parts
+from fracsim.solids.sampled_solid import REACH
 
 NO_HINTS = np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3))
 

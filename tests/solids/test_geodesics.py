@@ -199,7 +199,7 @@ def test_the_least_distance_to_the_parting_interfaces_is_the_distance_to_the_cra
         assert (curves.between(labels) - distances[parting].min(axis=0)).max() < 2e-3  # more cracks are no further
     # Shores are vertices of the faces that the interface's curve crosses; none where it stays inside.
     for pair, shore in zip(pairs, interface_vertices, strict=True):
-        crossed = curves.faces[(curves.parts == pair).all(axis=1)]
+        crossed = curves.faces[(curves.cells == pair).all(axis=1)]
         assert len(shore) == VERTICES_PER_INTERFACE
         assert np.isin(shore, surface.faces[crossed]).all() if len(crossed) else (shore == -1).all()
 
