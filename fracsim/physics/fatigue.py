@@ -99,4 +99,4 @@ def multiplied(impulses: Sequence[Impulse], factor: float) -> tuple[Impulse, ...
     tuple of Impulse
         The same points and directions, other magnitudes.
     """
-    return tuple(Impulse(one.point, one.direction, one.magnitude * factor) for one in impulses)
+    return tuple(Impulse(impulse.point, impulse.direction, impulse.magnitude * factor) for impulse in impulses)

@@ -7,7 +7,7 @@ and keeps the number of pieces within the budget.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ from .impacts import LOAD_DURATION
 from .last_step import LastStep
 from .live_convex import Refinement, asset_of, refined_now
 from .records import BodyRecord
+from .settings import ReplacementSettings
 from .states import BodyState, ConstraintInfo
 from .verdicts import Break
 from .world_state import WorldState
@@ -32,42 +33,6 @@ if TYPE_CHECKING:
     from ..fracture.pieces import Piece
 
 NO_IMPACTS: frozenset[tuple[int, int]] = frozenset()
-
-
-@dataclass(frozen=True)
-class ReplacementSettings:
-    """What a world's options say of pieces.
-
-    Attributes
-    ----------
-    visuals : bool
-        Whether bodies have visual shapes.
-    generations : int
-        How often what breaks may break again.
-    smallest : float
-        Share of the whole object's volume below which a piece breaks no more.
-    budget : int or None
-        Number of pieces that there may be; None for any number.
-    decomposition : str
-        Where the convex parts of pieces come from: "baked", "coacd" or "background".
-    refine_after : float
-        Time after a break at which finer convex parts take over, s.
-    immunity : float
-        Time after a break in which nothing that was in it may break its pieces, s: that impact is counted already, and
-        the engine needs a few steps to bring it to an end.
-    resting_speed : float
-        Speed that a piece at rest counts as having when the budget is exceeded, m/s, so that of two at rest the heavier
-        one stays.
-    """
-
-    visuals: bool = False
-    generations: int = 3
-    smallest: float = 0.01
-    budget: int | None = None
-    decomposition: str = "baked"
-    refine_after: float = 0.5
-    immunity: float = 0.02
-    resting_speed: float = 0.1
 
 
 class Replacement:
@@ -138,19 +103,19 @@ class Replacement:
             return []
         engine = self._state.engine
         start = perf_counter()
-        broken = {one.record.body.id for one in breaks}
+        broken = [each.record.body.id for each in breaks]
         constrained = engine.constraints.pairs()
         pairs = [*self._last_step.contact_forces.bodies.tolist(), *constrained]
-        reached = contact_island(pairs, [one.record.body.id for one in breaks], engine.is_static)
+        reached = contact_island(pairs, broken, engine.is_static)
         states = {body: self._state_before(body) for body in reached}
         others = [body for body in reached if body not in broken]
         self._put_back([states[body] for body in others])
         rewinding = 1e3 * (perf_counter() - start)
         events = []
-        for one in breaks:
-            one.timings["bodies"] = rewinding / len(breaks)
-            immune_to = one.others | frozenset(reached)
-            events.append(self._put_pieces(one, states[one.record.body.id], immune_to))
+        for each in breaks:
+            each.timings["bodies"] = rewinding / len(breaks)
+            immune_to = each.others | frozenset(reached)
+            events.append(self._put_pieces(each, states[each.record.body.id], immune_to))
         self._energy.drop_guards(set(reached))
         if not any(map(engine.is_articulated, others)):  # whose energy the states do not tell
             start = perf_counter()
@@ -204,10 +169,10 @@ class Replacement:
         """Guard the pieces of some breaks and what they live the step with against energy from penetration."""
         pieces: list[Body] = []
         parents: list[Body] = []  # with the mass of the pieces, which have their energy
-        for one, event in zip(breaks, events, strict=True):
+        for each, event in zip(breaks, events, strict=True):
             children = [self._state.pieces[child] for child in event.children]
             pieces += children
-            body, mass = one.record.body, sum(piece.mass for piece in children)
+            body, mass = each.record.body, sum(piece.mass for piece in children)
             parents.append(replace(body, mass=mass, moments=body.moments * mass / body.mass))
         beside = []
         for other in others:

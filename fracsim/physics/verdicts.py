@@ -229,14 +229,16 @@ class Verdicts:
             if comes_with_next or not has_new:
                 continue
             has_new = False
-            acting = sorted((one.impulse for _, one in record.recent_impacts), key=lambda one: -one.magnitude)
+            acting = sorted(
+                (recent.impulse for _, recent in record.recent_impacts), key=lambda impulse: -impulse.magnitude
+            )
             impulses = felt_impulses(acting, record.damage)
             if not record.breakable.may_break(impulses):
                 continue
             fracture = self.ask(record.breakable, impulses)
             if fracture is not None and len(fracture.pieces) > 1:
                 timings = {"impulse": struck.elapsed, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
-                return Break(record, impulses, fracture, frozenset(one.other for one in impacts), timings)
+                return Break(record, impulses, fracture, frozenset(impact.other for impact in impacts), timings)
         if self._fatigue is not None and record.recent_impacts:
             self._weaken(record, self._fatigue)
         return None

@@ -9,32 +9,28 @@ from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import cast
 
-import numpy as np
-
 from ..common.arrays import FloatArray
-from ..common.checks import Vector, at_least, finite_vector, is_number
+from ..common.checks import Vector, at_least
 from ..common.errors import PhysicsError
 from ..common.impulse import Impulse, as_impulses
-from .bodies import WHOLE_COLOUR, Pose, spawn
+from .bodies import WHOLE_COLOUR, spawn
 from .breakable import BreakableObject, require_breakable
 from .bullet import Engine
 from .energy import EnergyBalance, Running
 from .events import FractureEvent
 from .impacts import LOAD_DURATION, ContactImpulse
 from .last_step import LastStep
-from .live_convex import DECOMPOSITIONS, asset_of, require_decomposition
+from .live_convex import asset_of
+from .placing import contact_properties_of, pose_of, scaled
 from .records import BodyRecord
-from .replacement import Replacement, ReplacementSettings
-from .rotations import quaternion_of, rotation_of
-from .states import BodyNotFound, ContactProperties
+from .replacement import Replacement
+from .rotations import quaternion_of
+from .settings import ReplacementSettings
+from .states import BodyNotFound
 from .verdicts import Break, StruckBody, Verdicts
 from .world_state import WorldState
 
 ContactCallback = Callable[[ContactImpulse], object]
-
-# Collision margin as a share of an object's largest extent: the gap between the convex parts of two pieces is 1.5e-3,
-# and margins must not fill it.
-COLLISION_MARGIN = 5e-4
 
 
 class World:
@@ -111,20 +107,9 @@ class World:
         refine_after: float = 0.5,
     ) -> None:
         engine = Engine(client)
-        if decomposition not in DECOMPOSITIONS:
-            raise PhysicsError(f"unknown decomposition {decomposition!r}; use one of {', '.join(DECOMPOSITIONS)}")
-        if decomposition != "baked":
-            require_decomposition()
         self.client = engine.client
         self.visuals = engine.has_window if visuals is None else visuals
-        self.settings = ReplacementSettings(
-            visuals=self.visuals,
-            generations=int(at_least(generations, 1, "generations")),
-            smallest=at_least(smallest, 0.0, "smallest"),
-            budget=None if budget is None else int(at_least(budget, 0, "budget")),
-            decomposition=decomposition,
-            refine_after=at_least(refine_after, 0.0, "refine_after"),
-        )
+        self.settings = ReplacementSettings(self.visuals, generations, smallest, budget, decomposition, refine_after)
         self.times_engine = False
         self.engine_seconds = 0.0
         self._engine = engine
@@ -277,33 +262,14 @@ class World:
         require_breakable(asset)
         if self.settings.decomposition != "baked":
             asset_of(asset)
-        if not is_number(scale) or scale <= 0.0:
-            raise PhysicsError(f"scale must be a positive number, got {scale!r}")
-        if scale != 1.0:
-            asset = asset.scaled(scale)
-        quaternion = finite_vector(orientation, "orientation", 4)
-        if not quaternion.any():
-            raise PhysicsError("orientation is the zero quaternion; no rotation is (0, 0, 0, 1)")
-        rotation = rotation_of((quaternion / np.linalg.norm(quaternion)).tolist())
-        angular = finite_vector(angular_velocity, "angular_velocity", 3)
-        linear = finite_vector(linear_velocity, "linear_velocity", 3)
-        linear = linear - np.cross(angular, rotation @ asset.center_of_mass)
-        pose = Pose(finite_vector(position, "position", 3), rotation, linear, angular)
-        damping = (
-            at_least(linear_damping, 0.0, "linear_damping"),
-            at_least(angular_damping, 0.0, "angular_damping"),
-        )
-        surface = ContactProperties(
-            friction=asset.material.friction,
-            restitution=asset.material.restitution,
-            margin=COLLISION_MARGIN * asset.size,
-            linear_damping=damping[0],
-            angular_damping=damping[1],
-        )
+        asset = scaled(asset, scale)
+        pose = pose_of(asset, position, orientation, linear_velocity, angular_velocity)
+        surface = contact_properties_of(asset, linear_damping, angular_damping)
         self._verdicts.prepare(asset)
         [body] = spawn(self._engine, [asset], pose, surface, [WHOLE_COLOUR] if self.visuals else None)
         self._state.forget(body.id)  # a body of this id that somebody removed
         bearable_force = asset.bearable_impulse / LOAD_DURATION
+        damping = surface.linear_damping, surface.angular_damping
         self._activity.add(BodyRecord(body, asset, damping, asset.reach, bearable_force))
         return body.id
 
@@ -342,7 +308,7 @@ class World:
             Where this world has no such body, or it is a piece that breaks no more.
         """
         self._engine.require_connection()
-        impulses = tuple(sorted(as_impulses(impulse), key=lambda one: -one.magnitude))
+        impulses = tuple(sorted(as_impulses(impulse), key=lambda acting: -acting.magnitude))
         self._state.find(body)
         record = self._state.records.get(body)
         if record is None:
