@@ -1,10 +1,7 @@
-"""From contacts to impulses: what a hit will have delivered, predicted from the motion before it.
+"""From contacts to impulses: what an impact will have delivered, predicted from the motion before it.
 
-The engine spreads a hit over several steps, and the force of the first is no measure of it. The closing speed
-before the step is: the impulses are the smallest j ≥ 0 that stop every contact from closing,
-A j ≥ closing, with A from the inverse masses and inertias of both bodies, times (1 + restitution).
-How deep the two are in each other when the engine notices says when each contact began, so that what a long
-step shows at once is taken one after the other, as a short one would have it.
+The engine spreads an impact over several steps, and the force of the first is no measure of it. The closing speed
+before the step is. `Verdicts` asks the model with the impulses that come out of here.
 """
 
 from __future__ import annotations
@@ -19,23 +16,35 @@ from ..common.impulse import Impulse
 from ..geometry.frames import cross
 from .bodies import Body
 from .bullet import Engine
-from .impact_solver import ImpactSolver, complementary_impulses, inverse_inertia
+from .impact_solver import SETTINGS, ImpactSolver, complementary_impulses, inverse_inertia
 from .rotations import rotation_of
 from .states import AT_REST, BodyContacts, Motion, Placement, RigidBody, Triple
 
-MANY, MOST = 32, 96  # contacts of a body from which on they are thinned out, and how many are left at most
-LOAD_DURATION = 1e-3  # s: a sustained force F counts as the impulse F LOAD; about what a hit of hard things lasts
+LOAD_DURATION = SETTINGS.load_duration  # s
 
 
 @dataclass(frozen=True, eq=False)
 class ContactImpulse:
-    """One hit on a breakable body.
+    """One impact on a breakable body at one contact.
 
-    body, other, other_link: PyBullet ids; link -1 is the base.
-    point, direction: (3,) world, where it acts and the way the body is pushed.
-    closing_speed: m/s, before the hit. delay: s, after the first hit of the same step.
-    impulse: the same in the asset's frame, as the model sees it. moving: the other body is not static.
-    sustained: it is no hit, but what a force that lasts counts as.
+    Attributes
+    ----------
+    body, other, other_link : int
+        PyBullet's ids of the breakable body and of what it met, and the link of the latter; -1 is the base.
+    point : ndarray of float64, shape (3,)
+        Where it acts, m, world frame.
+    direction : ndarray of float64, shape (3,)
+        Unit vector the way the breakable body is pushed, world frame.
+    closing_speed : float
+        Before the impact, m/s; 0 for a sustained load.
+    impulse : Impulse
+        The same in the frame of the asset, as the model sees it (m, N·s).
+    moving : bool
+        Whether the other body is not static.
+    delay : float
+        Time after the first impact of the same step, s.
+    sustained : bool
+        Whether it is no impact, but what a force that lasts counts as.
     """
 
     body: int
@@ -51,13 +60,47 @@ class ContactImpulse:
 
 
 def impact_speed_threshold(dt: float, gravity: Triple) -> float:
-    """The closing speed, m/s, below which a contact is rest, rolling or leaning, and no hit."""
+    """Compute the closing speed below which a contact is rest, rolling or leaning, and no impact.
+
+    Parameters
+    ----------
+    dt : float
+        Time step, s.
+    gravity : tuple of float
+        m/s².
+
+    Returns
+    -------
+    float
+        m/s: the larger of 0.1 and what three steps of fall make.
+
+    Examples
+    --------
+    >>> impact_speed_threshold(1 / 240, (0, 0, -9.6))
+    0.12
+    """
     x, y, z = gravity
-    return max(0.1, 3.0 * dt * (x * x + y * y + z * z) ** 0.5)
+    return max(SETTINGS.least_impact_speed, SETTINGS.least_steps_of_fall * dt * (x * x + y * y + z * z) ** 0.5)
 
 
 def is_slow(motion: Motion, limit: float, reach: float) -> bool:
-    """Whether no point within ``reach`` of a body's centre of mass is faster than about ``limit``."""
+    """Tell whether no point of a body is faster than about a speed.
+
+    Parameters
+    ----------
+    motion : Motion
+        How it moves, m/s and rad/s.
+    limit : float
+        The speed, m/s.
+    reach : float
+        Distance from its centre of mass to its furthest point, m.
+
+    Returns
+    -------
+    bool
+        Whether each component of its velocity, and of its angular velocity times reach, is below a quarter of the
+        limit.
+    """
     (a, b, c), (d, e, f) = motion
     v, w = 0.25 * limit, 0.25 * limit / reach
     return -v < a < v and -v < b < v and -v < c < v and -w < d < w and -w < e < w and -w < f < w
@@ -72,27 +115,53 @@ def predict_impacts(
     dt: float,
     gravity: Triple,
 ) -> list[ContactImpulse]:
-    """The hits that a breakable body took in the last step, in the order in which they came.
+    """Predict the impacts that a breakable body took in the last step.
 
-    placement: where the body was before the step. motion_of: how a body and its link moved then.
+    Parameters
+    ----------
+    engine : Engine
+        Engine that the body is in.
+    body : Body
+        The body.
+    contacts : BodyContacts
+        Its contacts in the last step.
+    placement : Placement
+        Where it was before the step.
+    motion_of : callable
+        Maps a body and its link to how it moved before the step.
+    dt : float
+        Time step, s.
+    gravity : tuple of float
+        m/s².
+
+    Returns
+    -------
+    list of ContactImpulse
+        In the order in which they came; empty where nothing closed faster than the threshold.
+
+    Notes
+    -----
+    The impulses j ≥ 0 are the smallest that stop every contact from closing, A j ≥ closing, times one plus the
+    restitution. A comes of the masses and inertias of both bodies (`ImpactSolver`). How deep two bodies are in each
+    other when the engine notices says when each contact began, so what a long step shows at once is taken one after
+    the other, as a short one would have it.
     """
-    contacts = _thinned(contacts)
+    contacts = _thin_out(contacts)
     before = body.pose(placement, motion_of(body.id, -1))
-    own = _own(engine, body, placement)
     points, normals, others = contacts.points, contacts.normals, contacts.others
-    parts = {key: _rewound(engine.rigid_body(*key), engine.motion(key[0]), dt) for key in dict.fromkeys(others)}
-    rigids = [own, *parts.values()]
-    motions = [motion_of(body.id, -1), *(motion_of(*key) for key in parts)]
-    sides = np.array([1 + list(parts).index(key) for key in others])  # whose contact it is
-    impact = ImpactSolver(rigids, motions, points, normals, sides)
-    closing = impact.closing()
-    since = np.clip(contacts.depths / np.maximum(closing, 1e-9), 0.0, dt)
+    strikers = {key: _moved_back(engine.rigid_body(*key), engine.motion(key[0]), dt) for key in dict.fromkeys(others)}
+    rigids = [_placed(engine, body, placement), *strikers.values()]
+    motions = [motion_of(body.id, -1), *(motion_of(*key) for key in strikers)]
+    sides = np.array([1 + list(strikers).index(key) for key in others])
+    solver = ImpactSolver(rigids, motions, points, normals, sides)
+    closing = solver.closing()
+    since = np.clip(contacts.depths / np.maximum(closing, 1e-9), 0.0, dt)  # s for which each contact has lasted
     first = float(since[closing > 0.0].max(initial=0.0))
     # The engine takes a step with the velocity of its end, which is half a step's fall too much at its start.
-    impact.fall(np.array(gravity) * (0.5 * dt - first))
-    closing = impact.closing()
-    least = impact_speed_threshold(dt, gravity)
-    if closing.max() <= least:
+    solver.accelerate(np.array(gravity) * (0.5 * dt - first))
+    closing = solver.closing()
+    threshold = impact_speed_threshold(dt, gravity)
+    if closing.max() <= threshold:
         return []
     gaps = np.maximum(closing * first - contacts.depths, 0.0)
     places = (points - before.position) @ before.rotation  # (n, 3) asset frame
@@ -105,25 +174,11 @@ def predict_impacts(
             normals[i],
             speed,
             Impulse(places[i], pushes[i], size),
-            parts[others[i]].mass > 0.0,
+            strikers[others[i]].mass > 0.0,
             delay,
         )
-        for delay, i, speed, size in impact.sequence(gaps, least)
+        for delay, i, speed, size in solver.sequence(gaps, threshold)
     ]
-
-
-def _thinned(contacts: BodyContacts) -> BodyContacts:
-    """Of more than MANY contacts the deepest in each place, that is from the same thing, the same way and within a
-    twentieth of how far they all reach: a model does not tell such apart, and the time to solve for n grows as n³."""
-    if len(contacts.others) <= MANY:
-        return contacts
-    order = np.argsort(-contacts.depths, kind="stable")
-    points, normals = contacts.points[order], contacts.normals[order]
-    low = points.min(axis=0)
-    places = np.floor((points - low) / max(0.05 * float(np.ptp(points, axis=0).max()), 1e-12))
-    rows = np.column_stack([np.array(contacts.others)[order], places, np.rint(2.0 * normals)])
-    first = np.sort(np.unique(rows, axis=0, return_index=True)[1])  # still by depth
-    return contacts.select(np.sort(order[first[:MOST]]).tolist())
 
 
 def sustained_impulses(
@@ -133,25 +188,45 @@ def sustained_impulses(
     placement: Placement,
     gravity: Triple,
 ) -> list[ContactImpulse]:
-    """What lasting forces on a body at rest count as: F LOAD each, without the share that its own weight takes.
+    """Compute what lasting forces on a body at rest count as.
 
-    That share is what the contacts must carry to hold the body alone; a weight resting in a narrow wedge presses on its
-    flanks with many times itself and still is no load.
+    Parameters
+    ----------
+    engine : Engine
+        Engine that the body is in.
+    body : Body
+        The body.
+    contacts : BodyContacts
+        Its contacts, with their forces.
+    placement : Placement
+        Where it is.
+    gravity : tuple of float
+        m/s².
+
+    Returns
+    -------
+    list of ContactImpulse
+        Each force times `LOAD_DURATION`, without the share that the body's own weight takes.
+
+    Notes
+    -----
+    That share is what the contacts must carry to hold the body alone. A weight resting in a narrow wedge presses on
+    its flanks with many times itself and still is no load.
     """
     pose = body.pose(placement, AT_REST)
-    own = _own(engine, body, placement)
-    if own.mass == 0.0:
+    rigid = _placed(engine, body, placement)
+    if rigid.mass == 0.0:
         return []
     contacts = contacts.select(np.flatnonzero(contacts.forces > 0.0).tolist())
-    some = _thinned(contacts)
-    turn = cross(some.points - own.center, some.normals)
-    response = some.normals @ some.normals.T / own.mass + turn @ inverse_inertia(own) @ turn.T
-    weight = complementary_impulses(response, -(some.normals @ np.array(gravity)))  # N
+    holding = _thin_out(contacts)
+    turn = cross(holding.points - rigid.center, holding.normals)
+    response = holding.normals @ holding.normals.T / rigid.mass + turn @ inverse_inertia(rigid) @ turn.T
+    weight = complementary_impulses(response, -(holding.normals @ np.array(gravity)))  # N
     share = 1.0 - weight.sum() / contacts.forces.sum()
-    places = (contacts.points - pose.position) @ pose.rotation
-    pushes = contacts.normals @ pose.rotation
     if share <= 0.0:
         return []
+    places = (contacts.points - pose.position) @ pose.rotation
+    pushes = contacts.normals @ pose.rotation
     return [
         ContactImpulse(
             body.id,
@@ -164,18 +239,35 @@ def sustained_impulses(
             sustained=True,
         )
         for i, force in enumerate(contacts.forces)
-        if force > 1e-3 * contacts.forces.max()
+        if force > SETTINGS.negligible_share * contacts.forces.max()
     ]
 
 
-def _own(engine: Engine, body: Body, placement: Placement) -> RigidBody:
+def _thin_out(contacts: BodyContacts) -> BodyContacts:
+    """Keep the deepest of the contacts in each place, if there are many.
+
+    In one place are those with the same thing, the same way and within a share of how far they all reach. A model does
+    not tell them apart, and the time to solve for n of them grows as n³.
+    """
+    if len(contacts.others) <= SETTINGS.many_contacts:
+        return contacts
+    order = np.argsort(-contacts.depths, kind="stable")
+    points, normals = contacts.points[order], contacts.normals[order]
+    side = SETTINGS.place_share * float(np.ptp(points, axis=0).max())
+    places = np.floor((points - points.min(axis=0)) / max(side, 1e-12))
+    rows = np.column_stack([np.array(contacts.others)[order], places, np.rint(2.0 * normals)])
+    first = np.sort(np.unique(rows, axis=0, return_index=True)[1])  # still by depth
+    return contacts.select(np.sort(order[first[: SETTINGS.most_contacts]]).tolist())
+
+
+def _placed(engine: Engine, body: Body, placement: Placement) -> RigidBody:
+    """Read a body, as it is but for its place."""
     center, quaternion = placement
     return replace(engine.rigid_body(body.id, -1), center=np.array(center), rotation=rotation_of(quaternion))
 
 
-def _rewound(part: RigidBody, motion: Motion, dt: float) -> RigidBody:
-    """A part back where it was before the step: the engine moves with the velocity it ends a step with."""
-    if part.mass == 0.0 or part.jointed:
-        return part
-    center = part.center - dt * np.array(motion[0])
-    return replace(part, center=center)
+def _moved_back(rigid: RigidBody, motion: Motion, dt: float) -> RigidBody:
+    """Move a body back to before the step: the engine moves everything with the velocity that it ends a step with."""
+    if rigid.mass == 0.0 or rigid.jointed:
+        return rigid
+    return replace(rigid, center=rigid.center - dt * np.array(motion[0]))
