@@ -70,6 +70,9 @@ def add_tune(parser: argparse.ArgumentParser) -> None:
     _add_training(parser)
     parser.add_argument("--samples", type=int, help="use no more than so many of the dataset's samples")
     parser.add_argument("--folds", type=int, default=5, help="parts of the cross-validation (default: 5)")
+    parser.add_argument(
+        "--segmentation", default="watershed", metavar="NAME", help="that measures the fields (default: watershed)"
+    )
     add_seed(parser, "of all random choices")
     parser.add_argument("--study", metavar="NAME", help="the study's name (default: the dataset's and the model's)")
     parser.add_argument("--storage", help="a file or a database URL, the same for all workers (default: OUT/study.log)")
@@ -131,9 +134,10 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
     from ..data.dataset import Dataset
     from ..learning import model_class
     from ..learning.body import BodyGeometry
+    from ..learning.devices import rank
     from ..learning.model import save_model
     from ..learning.options import options_from
-    from ..learning.trainer import Run, rank
+    from ..learning.trainer import Run
     from ..metrics import amae
 
     kind = model_class(options.model)
@@ -210,7 +214,8 @@ def tune(options: argparse.Namespace) -> dict[str, Any]:
         out.mkdir(exist_ok=True)
         name = options.study or f"{options.dataset.stem} {options.model}"
         study = open_study(options.storage or str(out / "study.log"), name, search)
-        tune(search, body, samples, study, options.trials, options.population, stage.ticker("trials"))
+        progress = stage.ticker("trials")
+        tune(search, body, samples, study, options.trials, options.population, progress, options.segmentation)
     figures = summary(study, search)
     for path in write_figures(figures, out):
         print(path)

@@ -156,6 +156,47 @@ def open_study(storage: str, name: str, search: Search) -> optuna.Study:
     return study
 
 
+def segmentation_of(study: optuna.Study) -> str:
+    """Read which segmentation the fields of a study's trials are measured with.
+
+    Parameters
+    ----------
+    study : optuna.Study
+        The study.
+
+    Returns
+    -------
+    str
+        A name in ``segmentation.METHODS``; the watershed if the study does not say.
+    """
+    return str(study.user_attrs.get("segmentation", "watershed"))
+
+
+def set_segmentation(study: optuna.Study, name: str) -> None:
+    """Fix which segmentation the fields of a study's trials are measured with, before its first trial.
+
+    Parameters
+    ----------
+    study : optuna.Study
+        The study.
+    name : str
+        A name in ``segmentation.METHODS``.
+
+    Raises
+    ------
+    ModelError
+        If the study has trials with another segmentation.
+    """
+    if segmentation_of(study) == name:
+        return
+    if study.get_trials(deepcopy=False):
+        raise ModelError(
+            f"study {study.study_name!r} has trials with segmentation {segmentation_of(study)!r}, not {name!r}; "
+            "give another --study or --out"
+        )
+    study.set_user_attr("segmentation", name)
+
+
 def begin_trial(study: optuna.Study) -> Trial:
     """Begin a trial in the name of this process.
 

@@ -29,6 +29,7 @@ from .optuna_study import (
     finish_trial,
     give_up_lost_trials,
     repeat_trial,
+    set_segmentation,
 )
 from .search_space import Search
 
@@ -104,7 +105,7 @@ def tune(
     Raises
     ------
     ModelError
-        If an argument is out of range, or a fold has no samples.
+        If an argument is out of range, a fold has no samples, or the study has trials with another segmentation.
     FieldError
         If there is no segmentation of that name.
     """
@@ -116,6 +117,7 @@ def tune(
         split = fold_of(samples, fold).split
         if not (split == 0).any() or not (split == 1).any():
             raise ModelError(f"fold {fold} is empty; make more samples with: fracsim dataset make")
+    set_segmentation(study, segmentation)
     study.sampler = SeededSampler(search.seed, population)
     while True:
         give_up_lost_trials(study)

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..common.errors import MissingExtraError
 from ..learning import model_class
+from .optuna_study import segmentation_of
 from .search_space import Search
 
 try:
@@ -63,6 +64,7 @@ def summary(study: optuna.Study, search: Search) -> dict[str, Any]:
             "interrupted": sum("fault" not in trial.user_attrs for trial in failed),
             "under way": sum(trial.state == TrialState.RUNNING for trial in trials),
         },
+        "segmentation": segmentation_of(study),
         "rule": cost.rule,
         "chosen": chosen,
         "importances": importances(study, search.seed),

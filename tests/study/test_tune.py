@@ -19,15 +19,17 @@ import optuna
 import pytest
 from optuna.trial import TrialState
 
+import fracsim
 from fracsim import learning
 from fracsim.cli.main import main
-from fracsim.common.errors import ModelError
+from fracsim.common.errors import FieldError, ModelError
 from fracsim.data.dataset import Dataset
 from fracsim.data.samples import FOLDS
 from fracsim.learning.body import BodyGeometry
 from fracsim.learning.model import Model
 from fracsim.learning.search import Range
 from fracsim.metrics import amae
+from fracsim.segmentation import METHODS
 from fracsim.solids.geodesics import CAP
 from fracsim.study import optuna_study, tune
 from fracsim.study.optuna_study import open_study
@@ -112,6 +114,27 @@ def go(data, study, trials, search=SEARCH, **more):
 
 
 # Folds and figures
+
+
+def test_a_study_is_measured_with_one_registered_segmentation(data, study):
+    asked = []
+
+    def whole(graph, udf, parameter):
+        asked.append(parameter)
+        return np.zeros(len(graph), dtype=np.int64)
+
+    fracsim.register_segmentation("whole", whole, 0.5)
+    try:
+        found = go(data, study, 1, segmentation="whole")
+        assert found["segmentation"] == "whole"
+        assert asked == [0.5] * len(asked)
+        assert found["trials"][0]["ari"] == 0.0  # of one piece, against several
+        with pytest.raises(ModelError, match="has trials with segmentation 'whole', not 'watershed'"):
+            go(data, study, 2)
+    finally:
+        del METHODS["whole"]
+    with pytest.raises(FieldError, match="unknown segmentation 'whole'"):
+        go(data, study, 2, segmentation="whole")
 
 
 def test_folds_never_hold_a_test_sample_and_validate_each_other_one_once(data):
