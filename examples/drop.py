@@ -13,18 +13,21 @@ from collections.abc import Callable
 import numpy as np
 
 import fracsim
-from fracsim.physics.scene import Scene, rotation_of
+from fracsim.physics.scene import GRAVITY, Scene, rotation_of
 
-FPS = 25
-START = 0.3  # s before the hit, where the film begins
-BEFORE, AFTER, END = 0.03, 0.25, 0.5  # s of slow motion before and after the hit, and of real time after that
+FPS = 25  # images per second shown; GIFs count in hundredths of a second, so it divides 100
+# s of simulated time, seen from the first impact: the film begins and slow motion begins before it, slow motion and
+# then the film end after it.
+FILM_BEFORE, SLOW_BEFORE, SLOW_AFTER, FILM_AFTER = 0.3, 0.03, 0.25, 0.75
+LONGEST_WAIT = 3.0  # s; what has met nothing by then will not
+COLOURS = 96  # of the GIF; more make it larger, and fewer show bands
 
 
 def parser(description: str | None, mesh: str, out: str) -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(description=description, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("--mesh", default=mesh, help=f"an asset's name or its file (default {mesh})")
     result.add_argument("--size", type=float, default=0.3, help="largest extent, m (default 0.3)")
-    result.add_argument("--slow-motion", type=float, default=8.0, help="factor around the hit (default 8)")
+    result.add_argument("--slow-motion", type=float, default=8.0, help="factor around the impact (default 8)")
     result.add_argument("--out", default=out, help=f"the GIF (default {out})")
     result.add_argument("--no-gif", action="store_true", help="simulate and print, draw nothing")
     return result
@@ -33,20 +36,21 @@ def parser(description: str | None, mesh: str, out: str) -> argparse.ArgumentPar
 def play(
     scene: Scene,
     world: fracsim.World,
-    time_to_hit: Callable[[], float],
+    time_to_impact: Callable[[], float],
     shoot: Callable[[], None],
     slow_motion: float,
 ) -> list[fracsim.FractureEvent]:
-    """Step until 0.75 s after the hit; shoot 25 frames for each second shown."""
+    """Step until 0.75 s after the first impact, and shoot 25 frames for each second shown -> what broke."""
     events: list[fracsim.FractureEvent] = []
-    hits: list[float] = []
-    world.on_contact(lambda _: hits.append(world.time))
+    impacts: list[float] = []  # s, when
+    world.on_contact(lambda _: impacts.append(world.time))
     next_shot = 0.0
-    while world.time < (hits[0] + AFTER + END if hits else 3.0):
-        due = hits[0] - world.time if hits else time_to_hit()
-        if world.time >= next_shot and due < START:
+    while world.time < (impacts[0] + FILM_AFTER if impacts else LONGEST_WAIT):
+        until_impact = impacts[0] - world.time if impacts else time_to_impact()
+        if world.time >= next_shot and until_impact < FILM_BEFORE:
             shoot()
-            next_shot = world.time + 1 / FPS / (slow_motion if -AFTER < due < BEFORE else 1.0)
+            is_slow = -SLOW_AFTER < until_impact < SLOW_BEFORE
+            next_shot = world.time + 1 / FPS / (slow_motion if is_slow else 1.0)
         events += world.step()
     return events
 
@@ -58,7 +62,7 @@ def save(frames: list[np.ndarray], path: str) -> None:
     except ImportError as error:
         raise fracsim.MissingExtraError("pillow", "plot") from error
     sample = Image.fromarray(np.vstack(frames[:: max(1, len(frames) // 8)]))
-    palette = sample.quantize(96, method=Image.Quantize.MEDIANCUT)
+    palette = sample.quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
     images = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     durations = [1000 // FPS] * (len(images) - 1) + [1000]
     images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, optimize=True)
@@ -100,20 +104,20 @@ def main() -> int:
     frames: list[np.ndarray] = []
     height = options.height  # of the camera's target
 
-    def time_to_hit() -> float:
+    def time_to_impact() -> float:
         nonlocal height
         if body not in world.bodies:
             return 0.0
         height = lowest_point(world, body, asset)
-        return height / max(math.sqrt(2 * 9.81 * max(options.height - height, 0.0)), 1e-3)
+        return height / max(math.sqrt(2 * GRAVITY * max(options.height - height, 0.0)), 1e-3)
 
     def shoot() -> None:
-        time_to_hit()
+        time_to_impact()
         target = max(height, 0.0) + 0.3 * options.size
         eye = np.array([1.7, -2.6, 1.1]) * options.size + [0.0, 0.0, max(height, 0.0)]
         frames.append(scene.image(eye.tolist(), (0.0, 0.0, target), 480, 360))
 
-    events = play(scene, world, time_to_hit, (lambda: None) if options.no_gif else shoot, options.slow_motion)
+    events = play(scene, world, time_to_impact, (lambda: None) if options.no_gif else shoot, options.slow_motion)
     if frames:
         save(frames, options.out)
     scene.close()

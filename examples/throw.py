@@ -12,7 +12,7 @@ import pybullet as p
 from drop import parser, play, report, save
 
 import fracsim
-from fracsim.physics.scene import Scene
+from fracsim.physics.scene import GRAVITY, Scene
 
 
 def main() -> int:
@@ -45,11 +45,11 @@ def main() -> int:
         eye = np.array([0.3, -4.0, 1.8]) * options.size + [along, 0.0, 0.0]
         frames.append(scene.image(eye.tolist(), (along, 0.0, 0.5 * options.size), 480, 360))
 
-    def time_to_hit() -> float:
+    def time_to_impact() -> float:
         position, _ = p.getBasePositionAndOrientation(ball, physicsClientId=scene.client)
         return float((reach - distance - position[0]) / options.speed)
 
-    events = play(scene, world, time_to_hit, (lambda: None) if options.no_gif else shoot, options.slow_motion)
+    events = play(scene, world, time_to_impact, (lambda: None) if options.no_gif else shoot, options.slow_motion)
     if frames:
         save(frames, options.out)
     scene.close()
@@ -59,7 +59,7 @@ def main() -> int:
 def throw(
     client: int, mass: float, radius: float, position: tuple[float, float, float], speed: float, show: bool
 ) -> int:
-    """A ball that flies along x, and passes the origin as high as it starts."""
+    """Throw a ball along x so that it passes the origin as high as it starts -> its body id."""
     shape = p.createCollisionShape(p.GEOM_SPHERE, radius=radius, physicsClientId=client)
     visual = -1
     if show:
@@ -67,7 +67,7 @@ def throw(
         visual = p.createVisualShape(p.GEOM_SPHERE, radius=radius, rgbaColor=color, physicsClientId=client)
     ball: int = p.createMultiBody(mass, shape, visual, position, physicsClientId=client)
     p.changeDynamics(ball, -1, linearDamping=0.0, contactProcessingThreshold=1e-4, physicsClientId=client)
-    p.resetBaseVelocity(ball, (speed, 0.0, -0.5 * 9.81 * position[0] / speed), physicsClientId=client)
+    p.resetBaseVelocity(ball, (speed, 0.0, -0.5 * GRAVITY * position[0] / speed), physicsClientId=client)
     return ball
 
 
