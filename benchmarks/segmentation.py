@@ -69,10 +69,10 @@ class Case:
         self.graph = SurfaceGraph.of(surface)
         self.linked = SurfaceGraph.of(surface, self.body.links)
         self.count = len(surface.vertices)
-        _ = self.body.basins, self.body.vertex_atom
+        _ = self.body.atom_watershed, self.body.vertex_atom
 
     def flooded(self, nodes: FloatArray, height: float) -> IntArray:
-        labels = self.body.basins.labels(nodes[: self.count], height)
+        labels = self.body.atom_watershed.labels(nodes[: self.count], height)
         atoms = self.body.atoms
         whole = merge_small_pieces_each(
             labels[None], self.body.volumes, atoms.interfaces, atoms.min_piece_volume_fraction

@@ -100,7 +100,7 @@ class BodyGeometry:
         return facing_vertices(self.surface)
 
     @cached_property
-    def basins(self) -> AtomWatershed:
+    def atom_watershed(self) -> AtomWatershed:
         distances = self.distances[:, : len(self.vertices)]
         return AtomWatershed.of(
             self.interface_vertices, distances, self.interfaces.pairs, self.interfaces.areas, len(self.volumes)

@@ -155,7 +155,7 @@ class SegmentationBench:
             Piece of each vertex.
         """
         body = self.body
-        labels = body.basins.labels(udf.astype(np.float64), height)
+        labels = body.atom_watershed.labels(udf.astype(np.float64), height)
         merged = merge_small_pieces_each(
             labels[None], body.volumes, body.interfaces, body.atoms.min_piece_volume_fraction
         )[0]
