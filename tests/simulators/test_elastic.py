@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from skfem import MeshTet
 
-from fracsim.common.errors import BakeError
+from fracsim.common.errors import BakeError, MissingExtraError
 from fracsim.fracture.rule import Interfaces, effective_opening
 from fracsim.simulators.base import Impacts, interfaces_between
 from fracsim.simulators.diffusion import PATCH_RADIUS
@@ -100,7 +100,7 @@ def test_a_bar_struck_sideways_in_the_middle_bends_like_a_free_beam(whole):
     assert traction[3:5, 2].mean() == pytest.approx((0.5 - 0.3) / THICK**2, rel=0.03)
 
 
-def test_the_far_side_of_a_blow_is_in_tension_and_the_near_side_compressed(whole):
+def test_the_far_side_of_an_impact_is_in_tension_and_the_near_side_compressed(whole):
     traction = whole.tractions(np.array([[0.0, 0.0, HALF]]))[0] @ -Z
     # The patch takes F σ/√(2π) off the moment F L/8 of a point load.
     expected = 3 * (1 / 8 - PATCH_RADIUS / np.sqrt(2 * np.pi)) / THICK**3
@@ -133,7 +133,7 @@ def test_a_load_has_no_net_force_and_no_net_torque(whole):
     assert (np.abs(rigid_motions(whole.nodes).T @ loads) < 1e-12 * size).all()
 
 
-def test_asking_the_interfaces_gives_what_solving_for_the_blow_gives(whole):
+def test_asking_the_interfaces_gives_what_solving_for_the_impact_gives(whole):
     points = np.array([END, [0.21, HALF, 0.01]])
     directions = np.array([[0.8, 0.0, 0.6], [0.0, -1.0, 0.0]])
     forward = whole.tractions_of(whole.displacements(points, directions))
@@ -141,7 +141,7 @@ def test_asking_the_interfaces_gives_what_solving_for_the_blow_gives(whole):
     np.testing.assert_allclose(backward, forward, atol=1e-8 * np.abs(forward).max())
 
 
-def test_a_turned_bar_answers_a_turned_blow_with_turned_tractions(whole):
+def test_a_turned_bar_answers_a_turned_impact_with_turned_tractions(whole):
     turn = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
     point = np.array([[0.1, 0.0, HALF]])
     turned = bar(BOUNDS, turn).tractions(point @ turn.T)[0]
@@ -195,7 +195,7 @@ def test_the_gauge_makes_the_median_thresholds_agree(modal, elastic):
     assert np.median(elastic.thresholds(impacts)) == pytest.approx(np.median(modal.thresholds(impacts)))
 
 
-def test_a_blow_parts_the_elastic_body_from_its_threshold_on(elastic):
+def test_an_impact_parts_the_elastic_body_from_its_threshold_on(elastic):
     impacts = single_impacts(elastic.surface, 50, np.random.default_rng(1))
     critical = elastic.thresholds(impacts)
     assert (elastic.fracture(impacts.times(0.999 * critical)).labels == 0).all()
@@ -229,3 +229,18 @@ def test_interfaces_of_other_parts_are_refused():
     other = Interfaces(np.array([[0, 2]]), np.ones(1), X[None], np.ones(1))
     with pytest.raises(BakeError, match="not those between the cells"):
         ElasticBody(None, solid, other, bar_mesh())
+
+
+def test_without_wildmeshing_the_extra_that_brings_it_is_named(modal, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"wildmeshing is not installed.*elastic") as caught:
+        ElasticSimulator.from_modal(modal)
+    assert caught.value.extra == "elastic"
+
+
+def test_a_restored_elastic_simulator_answers_with_the_same_bits(elastic):
+    arrays, numbers = elastic.state()
+    again = ElasticSimulator.restore(elastic.surface, elastic.cells, elastic.interfaces, arrays, numbers)
+    impacts = single_impacts(elastic.surface, 100, np.random.default_rng(2))
+    np.testing.assert_array_equal(again.thresholds(impacts), elastic.thresholds(impacts))
+    np.testing.assert_array_equal(again.fine_to_cell, elastic.fine_to_cell)

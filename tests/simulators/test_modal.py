@@ -1,4 +1,4 @@
-"""The truths behind the door: what they owe their frame, their impacts, and those who build on them."""
+"""Modal and radial simulators: independent of frame and numbering, true to their thresholds, and fit to bake from."""
 
 from __future__ import annotations
 
@@ -116,16 +116,14 @@ def test_through_another_lattice_pieces_are_as_many_and_break_as_often():
         simulator = make_simulator(surface, SimulatorOptions(cells=800, modes=6), seed)
         labels = simulator.fracture(impacts.times(np.full(len(impacts), severe))).labels
         counts.append(labels.max(axis=1) + 1)
-    one, other = np.concatenate(counts[::2]), np.concatenate(counts[1::2])
-    # Lattices, not impacts, are what is sampled here: eight of them, which must not be far apart to begin with.
-    averages = np.array([count.mean() for count in counts])
-    assert averages.max() < 2 * averages.min()
-    broke = np.array([(count > 1).mean() for count in counts])
-    error = broke.std(ddof=1) * np.sqrt(2 / 4)
-    assert abs((one > 1).mean() - (other > 1).mean()) < 3 * error + 1e-9
+    even, odd = np.concatenate(counts[::2]), np.concatenate(counts[1::2])
     means = np.array([count.mean() for count in counts])
-    assert abs(one.mean() - other.mean()) < 3 * means.std(ddof=1) * np.sqrt(2 / 4) + 1e-9
-    assert ks_2samp(one, other).statistic < 0.25
+    broke = np.array([(count > 1).mean() for count in counts])
+    # Eight lattices, not impacts, are what is sampled here. Their means have a scatter of some 7 %.
+    assert means / means.mean() == pytest.approx(np.ones(8), abs=0.2)
+    assert (broke > 0.99).all()
+    assert even.mean() == pytest.approx(odd.mean(), rel=0.1)
+    assert ks_2samp(even, odd).statistic < 0.1
 
 
 # Radial cracks
@@ -191,7 +189,7 @@ def test_atoms_seen_in_fractures_say_again_what_these_said(radial):
     assert np.mean(scores) > 0.6
 
 
-def test_another_simulator_bakes_into_an_asset_that_breaks_and_owns_up_to_what_it_is(crate, tmp_path):
+def test_another_simulator_bakes_into_an_asset_that_breaks_and_names_its_simulator(crate, tmp_path):
     assert crate.metadata["simulator"] == "radial"
     assert crate.metadata["test"]["ari_of_the_atoms"] > 0.3
     assert crate.metadata["test"]["balanced_accuracy"] > 0.7

@@ -7,7 +7,7 @@ import itertools
 import manifold3d
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
@@ -59,8 +59,8 @@ def test_parts_of_different_solids_never_come_nearer_than_the_gap(seed):
     normals = np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]]) / np.sqrt(2)
     try:
         parts = decompose([surface(solid) for solid in solids], pairs, normals)
-    except BakeError:  # one within another
-        return
+    except BakeError:  # one solid within another has no part left; too many of these examples would fail the test
+        reject()
     assert nearest(parts) >= GAP * (1 - 1e-6)
     assert all(len(points) <= HULL_VERTICES for some in parts for points in some)
 
@@ -131,7 +131,7 @@ def test_coacd_gives_the_same_parts_in_one_process_or_two(hook):
         np.testing.assert_array_equal(np.vstack(one), np.vstack(two))
 
 
-def test_a_solid_that_lies_within_another_is_told_of():
+def test_a_solid_that_lies_within_another_is_named():
     outer, inner = surface(box((1, 1, 1))), surface(box((0.02, 0.02, 0.02), (0.49, 0.49, 0.49)))
     with pytest.raises(BakeError, match="atom 1 lost its last convex part"):
         clip_apart([outer, inner], [[outer[0]], [inner[0]]], *NO_HINTS)

@@ -53,7 +53,7 @@ def rod():
 
 
 @pytest.fixture(scope="module")
-def crumbled():
+def divided():
     """A ball in a dozen parts or so."""
     surface = read_surface(trimesh.creation.icosphere(3))
     cells = cut_lattice(surface, 200, np.random.default_rng(0))
@@ -72,19 +72,19 @@ def test_on_a_flat_side_distances_are_the_straight_ones(slab):
     here = np.flatnonzero(np.abs(curves.nodes[:, 2] - top) < 1e-9)
     flat = (np.abs(solid.points[curves.segments][:, :, 2] - top) < 1e-9).all(axis=1)
     ends = solid.points[curves.segments[flat]]
-    truth = to_segments(curves.nodes[here], ends[:, 0], ends[:, 1]).min(axis=1)
+    exact = to_segments(curves.nodes[here], ends[:, 0], ends[:, 1]).min(axis=1)
     rim = (half[:2] - np.abs(curves.nodes[here, :2])).min(axis=1)
-    known = truth < rim  # no way over the rim can be shorter
+    known = exact < rim  # no way over the rim can be shorter
     assert known.sum() > 300
-    error = np.abs(distance[here[known]] - np.minimum(truth[known], CAP))
+    error = np.abs(distance[here[known]] - np.minimum(exact[known], CAP))
     assert error.mean() < 1e-3
     assert error.max() < 0.02
-    # Exact to rounding where a node's own faces hold the nearest stretch of the crack.
+    # Exact to rounding where a node's within_face faces hold the nearest stretch of the crack.
     beside = np.full(len(curves.nodes), np.inf)
     np.minimum.at(beside, curves.corners.ravel(), curves.beside.ravel())
-    own = known & (beside[here] <= truth + 1e-12)
-    assert own.sum() > 50
-    np.testing.assert_allclose(distance[here[own]], truth[own], rtol=0, atol=1e-12)
+    within_face = known & (beside[here] <= exact + 1e-12)
+    assert within_face.sum() > 50
+    np.testing.assert_allclose(distance[here[within_face]], exact[within_face], rtol=0, atol=1e-12)
 
 
 def test_around_a_prism_distances_are_those_of_its_unrolled_side(rod):
@@ -114,11 +114,11 @@ def test_around_a_prism_distances_are_those_of_its_unrolled_side(rod):
     flat = unroll(curves.nodes, node_strip)[on_side]
     start, end = (unroll(solid.points[curves.segments[:, k]], strip[curves.faces]) for k in (0, 1))
     around = [np.array([turn * 16 * width, 0.0]) for turn in (-1, 0, 1)]
-    truth = np.min([to_segments(flat, start + shift, end + shift).min(axis=1) for shift in around], axis=0)
-    error = np.abs(distance[on_side] - np.minimum(truth, CAP))
+    exact = np.min([to_segments(flat, start + shift, end + shift).min(axis=1) for shift in around], axis=0)
+    error = np.abs(distance[on_side] - np.minimum(exact, CAP))
     assert error.mean() < 2e-3
     assert error.max() < 0.02
-    assert (truth[distance[on_side] == CAP] > CAP - 0.02).all()
+    assert (exact[distance[on_side] == CAP] > CAP - 0.02).all()
     # Where the crack runs through a node's faces the value is exact, round the corner of the strip as well.
     crossed = np.isin(np.flatnonzero(on_side), curves.corners)
     assert error[crossed].max() < 2e-3
@@ -133,8 +133,8 @@ def test_on_a_ball_distances_are_arcs():
     ends = solid.points[curves.segments]
     points = ((1 - t) * ends[:, 0] + t * ends[:, 1]).reshape(-1, 3)
     unit, nodes = (x / np.linalg.norm(x, axis=1)[:, None] for x in (points, curves.nodes))
-    truth = 0.5 * np.arccos(np.clip((nodes @ unit.T).max(axis=1), -1, 1))
-    error = np.abs(curves.between(np.array([0, 1])) - np.minimum(truth, CAP))
+    exact = 0.5 * np.arccos(np.clip((nodes @ unit.T).max(axis=1), -1, 1))
+    error = np.abs(curves.between(np.array([0, 1])) - np.minimum(exact, CAP))
     assert error.mean() < 2e-3
     assert error.max() < 0.02
 
@@ -155,8 +155,8 @@ def test_where_nothing_parts_everything_is_at_the_cap(slab):
     assert len(seeds) == 0
 
 
-def test_the_numbering_of_vertices_faces_and_parts_does_not_matter(crumbled):
-    surface, solid, curves = crumbled
+def test_the_numbering_of_vertices_faces_and_parts_does_not_matter(divided):
+    surface, solid, curves = divided
     rng = np.random.default_rng(0)
     labels = rng.integers(0, 3, len(solid.volumes))
     expected = curves.between(labels)
@@ -184,8 +184,8 @@ def test_the_numbering_of_vertices_faces_and_parts_does_not_matter(crumbled):
     np.testing.assert_array_equal(curves.between(np.array([7, 3, 5])[labels]), expected)
 
 
-def test_the_least_distance_to_the_parting_interfaces_is_the_distance_to_the_cracks(crumbled):
-    surface, solid, curves = crumbled
+def test_the_smallest_distance_to_the_broken_interfaces_is_the_distance_to_the_cracks(divided):
+    surface, solid, curves = divided
     pairs = interfaces_between(solid).pairs
     distances, interface_vertices = interface_distances(curves, pairs)
     assert distances.shape == (len(pairs), len(curves.nodes))
@@ -197,15 +197,15 @@ def test_the_least_distance_to_the_parting_interfaces_is_the_distance_to_the_cra
             assert gap[where].mean() < 1e-3
             assert gap[where].max() < 0.01
         assert (curves.between(labels) - distances[parting].min(axis=0)).max() < 2e-3  # more cracks are no further
-    # Shores are vertices of the faces that the interface's curve crosses; none where it stays inside.
-    for pair, shore in zip(pairs, interface_vertices, strict=True):
+    # They are vertices of the faces that the interface's curve crosses; none where it stays inside.
+    for pair, row in zip(pairs, interface_vertices, strict=True):
         crossed = curves.faces[(curves.cells == pair).all(axis=1)]
-        assert len(shore) == VERTICES_PER_INTERFACE
-        assert np.isin(shore, surface.faces[crossed]).all() if len(crossed) else (shore == -1).all()
+        assert len(row) == VERTICES_PER_INTERFACE
+        assert np.isin(row, surface.faces[crossed]).all() if len(crossed) else (row == -1).all()
 
 
-def test_cracks_run_between_parts_along_the_faces_that_they_name(crumbled):
-    surface, solid, _ = crumbled
+def test_cracks_run_between_parts_along_the_faces_that_they_name(divided):
+    surface, solid, _ = divided
     segments, parts, faces = crack_segments(solid)
     assert (parts[:, 0] < parts[:, 1]).all()
     corner = surface.vertices[surface.faces[faces]]

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fracsim.common.errors import BakeError
-from fracsim.geometry.complex import CellComplex
+from fracsim.fracture.rule import Interfaces, merge_small_pieces
 from fracsim.solids.cut import cut_lattice
 from fracsim.solids.lattice import lattice_spacing
 from fracsim.solids.polygons import coarsen
@@ -32,10 +32,9 @@ def test_cells_add_up_to_the_body_and_are_watertight(shape, seed):
     solid = cut_lattice(surface, 300, np.random.default_rng(seed))
     assert solid.volumes.sum() == pytest.approx(surface.trimesh.volume, rel=1e-12)
     assert (solid.volumes > 0).all()
-    cells = CellComplex(solid.points, solid.triangles, solid.sides)
-    for cell in np.random.default_rng(seed).permutation(cells.count)[:40]:
-        chosen = np.arange(cells.count) == cell
-        vertices, faces, _ = cells.surface(chosen)
+    for cell in np.random.default_rng(seed).permutation(solid.count)[:40]:
+        chosen = np.arange(solid.count) == cell
+        vertices, faces, _ = solid.surface(chosen)
         mesh = trimesh.Trimesh(vertices, faces)
         assert mesh.is_watertight
         assert trimesh.Trimesh(vertices, faces, process=False).volume == pytest.approx(solid.volumes[cell], rel=1e-6)
@@ -97,3 +96,14 @@ def test_joining_leaves_nothing_small_and_only_joins_neighbours(seed, floor):
     for region in range(label.max() + 1):
         members = np.flatnonzero(label == region)
         assert np.array_equal(members, np.arange(members[0], members[-1] + 1))
+
+
+def test_where_small_regions_touch_the_rule_of_a_break_gives_other_pieces():
+    """Why there are two rules, by a chain whose last three cells are small."""
+    volumes, areas = np.array([0.56, 0.28, 0.01, 0.07, 0.08]), np.array([4.0, 3.0, 2.0, 1.0])
+    pairs = np.array([[0, 1], [1, 2], [2, 3], [3, 4]])
+    interfaces = Interfaces(pairs, areas, np.tile([1.0, 0.0, 0.0], (4, 1)), areas)
+    # In one round cell 2 joins cell 1, and cell 4 joins cell 3, which was small when the round began.
+    assert merge_small_regions(volumes, pairs, areas, 0.1).tolist() == [0, 1, 1, 2, 2]
+    # One by one, cell 3 follows cell 2 before it is cell 4's turn.
+    assert merge_small_pieces(np.arange(5), volumes, interfaces, 0.1).tolist() == [0, 1, 1, 1, 1]
