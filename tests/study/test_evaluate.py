@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-import fracsim
 from fracsim.cli.main import main
 from fracsim.common.errors import ModelError
 from fracsim.segmentation import METHODS
@@ -67,25 +67,43 @@ accepted = 0.85
 """
 
 
+TWO_SIDES = """
+import fracsim
+
+
 def two_sides(graph, udf, height):
-    """A segmentation of our own: the vertices above and below a height, whatever the field."""
-    return (graph.vertices[:, 2] > height).astype(np.int64)
+    return (graph.vertices[:, 2] > height).astype(int)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def registered():
-    """Make it known, as a module that a user imports would."""
-    fracsim.register_segmentation("two sides", two_sides, 0.0)
-    yield
-    del METHODS["two sides"]
+fracsim.register_segmentation("two sides", two_sides, 0.0)
+"""
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory):
+def module_of_a_user(tmp_path_factory):
+    """The name of a module that registers a segmentation: the vertices above a height, and those below."""
+    folder = tmp_path_factory.mktemp("modules")
+    (folder / "two_sides.py").write_text(TWO_SIDES)
+    sys.path.append(str(folder))
+    yield "two_sides"
+    sys.path.remove(str(folder))
+    del sys.modules["two_sides"], METHODS["two sides"]
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory, module_of_a_user):
     folder = tmp_path_factory.mktemp("plan")
     trimesh.creation.torus(0.5, 0.2, major_sections=20, minor_sections=10).export(folder / "torus.obj")
     (folder / "plan.toml").write_text(PLAN)
-    arguments = ["evaluate", str(folder / "plan.toml"), "--out", str(folder / "out"), "--quiet"]
+    arguments = [
+        "--import",
+        module_of_a_user,
+        "evaluate",
+        str(folder / "plan.toml"),
+        "--out",
+        str(folder / "out"),
+        "--quiet",
+    ]
     assert main([*arguments, "--json", str(folder / "figures.json")]) == 0
     return folder, arguments
 
