@@ -1,4 +1,4 @@
-"""TODO data.impacts."""
+"""How impacts are drawn over a surface: single and scattered contacts, landings, rings and grips. Sampling uses it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..geometry.sampling import CONE, SurfacePoints, cone
 from ..simulators.base import Impacts
 from ..solids.surface import Surface
 
-CONTACTS = 6  # the most that act together in a sample
+CONTACTS = 6  # at most, that act together in a sample
 SEVERAL = 0.25  # share of samples with 2 to CONTACTS contacts, in equal parts of every kind but the first
 KINDS = ("single", "scattered", "landing", "ring", "grip")
 POOL = 2048  # points from which the contacts of landings, rings and grips are chosen
@@ -19,12 +19,28 @@ RING = (0.05, 0.25)  # radii, in units of the largest extent
 
 
 def draw_impacts(surface: Surface, count: int, rng: np.random.Generator) -> tuple[Impacts, IntArray]:
-    """Impacts whose severities add up to 1, and their kinds (N,).
+    """Draw impacts whose severities add up to 1.
 
-    Single and scattered contacts are uniform over the area, in a cone about the inward normal. The others choose
-    among POOL points of the surface, one pool for all the impacts: a landing is on a flat floor, at the lowest points
-    along a random way down that face it. A ring is the end of a tube: points around a circle. Both push
-    one way, within TILT. A grip is two opposite points pushed towards each other, within TILT and equally hard.
+    Single and scattered contacts are uniform over the area, in a cone about the inward normal. The other kinds choose
+    among POOL points of the surface, one pool for all impacts. A landing is on a flat floor: the lowest points along a
+    random upward direction. A ring is the end of a tube: points around a circle. The contacts of both push one way,
+    within TILT. A grip is two opposite points pushed towards each other, within TILT and equally hard.
+
+    Parameters
+    ----------
+    surface : Surface
+        The body's.
+    count : int
+        Impacts, N.
+    rng : Generator
+        The source of chance.
+
+    Returns
+    -------
+    impacts : Impacts
+        Of up to CONTACTS contacts each.
+    kind : ndarray of int64, shape (N,)
+        Index into KINDS.
     """
     points = SurfacePoints(surface.vertices, surface.faces)
     kind = np.where(rng.random(count) < SEVERAL, rng.integers(1, len(KINDS), count), 0)
@@ -66,9 +82,9 @@ def draw_impacts(surface: Surface, count: int, rng: np.random.Generator) -> tupl
         first = np.argmax(facing, axis=2)
         chosen = np.take_along_axis(near, first[:, :, None], axis=2)[:, :, 0]
         # Where nothing near faces the tube, the contact is at its centre, which does.
-        there = np.take_along_axis(facing, first[:, :, None], axis=2)
-        face[ring] = np.where(there[:, :, 0], pool_face[chosen], face[ring][:, :1])
-        bary[ring] = np.where(there, pool_bary[chosen], bary[ring][:, :1])
+        beside_tube = np.take_along_axis(facing, first[:, :, None], axis=2)
+        face[ring] = np.where(beside_tube[:, :, 0], pool_face[chosen], face[ring][:, :1])
+        bary[ring] = np.where(beside_tube, pool_bary[chosen], bary[ring][:, :1])
         directions[ring] = cone(np.repeat(axis, CONTACTS, axis=0), TILT, rng).reshape(-1, CONTACTS, 3)
 
     grip = kind == KINDS.index("grip")

@@ -1,7 +1,7 @@
-"""Fracture samples: impulses drawn over a surface, and what a simulator says they do. Offline only.
+"""Fracture samples: impacts drawn over a surface, and what a simulator says they do. Offline only.
 
-Samples come in blocks, each drawn from its own seed, so that any number of them, made by any number of workers or in
-any number of sittings, is the beginning of one and the same sequence. ``storage`` keeps them in a file.
+Samples come in blocks, each drawn from its own seed. So any number of them, made by any number of workers or in any
+number of sittings, is the beginning of one and the same sequence. ``writing`` keeps them in a file.
 """
 
 from __future__ import annotations
@@ -33,15 +33,31 @@ FOLDS = 5
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Impulses and their fractures.
+    """N impacts and their fractures.
 
-    faces: (N, CONTACTS) and barycentric: (N, CONTACTS, 3), where on the surface; directions: (N, CONTACTS, 3).
-    severities: (N, CONTACTS), impulse / (mass * breaking velocity), 0 where there is no contact.
-    ratio: (N,), severity as a multiple of the one at which this very impact would first part the body.
-    kind: (N,), index into KINDS. labels: (N, P), the piece of each part. broken: (N, I), the interfaces that give
-    way, or (N, 0) from a simulator that knows none; one that broke within a piece, its sides being joined another
-    way, parts nothing. split: (N,), 0 train, 1 validation, 2 test. fold: (N,), 0 to FOLDS - 1, or -1 in the test
-    split, which no fold may contain.
+    Attributes
+    ----------
+    faces : ndarray of int64, shape (N, K)
+        The face of the surface that each contact lies on; K is ``impacts.CONTACTS``.
+    barycentric : ndarray of float64, shape (N, K, 3)
+        Where on the face.
+    directions : ndarray of float64, shape (N, K, 3)
+        Unit vectors along the impulses.
+    severities : ndarray of float64, shape (N, K)
+        Impulse / (mass * breaking velocity), without unit; 0 where there is no contact.
+    ratio : ndarray of float64, shape (N,)
+        Severity as a multiple of the one at which this very impact would first break the body.
+    kind : ndarray of int64, shape (N,)
+        Index into ``impacts.KINDS``.
+    labels : ndarray of int64, shape (N, C)
+        The piece of each cell.
+    broken : ndarray of bool, shape (N, I)
+        The interfaces that break; (N, 0) of a simulator that does not know them. An interface may break inside a piece
+        whose two sides are still joined by another way.
+    split : ndarray of int64, shape (N,)
+        0 training, 1 validation, 2 test.
+    fold : ndarray of int64, shape (N,)
+        0 to FOLDS - 1; -1 in the test split, which no fold may contain.
     """
 
     faces: IntArray
@@ -57,12 +73,37 @@ class Samples:
 
     @property
     def impacts(self) -> Impacts:
+        """The impacts alone."""
         return Impacts(self.faces, self.barycentric, self.directions, self.severities)
 
     def of_split(self, split: int) -> Samples:
+        """Take the samples of a split.
+
+        Parameters
+        ----------
+        split : int
+            0 training, 1 validation, 2 test.
+
+        Returns
+        -------
+        Samples
+            These samples, in order.
+        """
         return self.take(self.split == split)
 
     def take(self, rows: slice | IntArray | BoolArray) -> Samples:
+        """Take rows.
+
+        Parameters
+        ----------
+        rows : slice or ndarray
+            Any index of numpy's into the first axis.
+
+        Returns
+        -------
+        Samples
+            The rows.
+        """
         return Samples(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def __len__(self) -> int:
@@ -70,6 +111,18 @@ class Samples:
 
     @classmethod
     def join(cls, blocks: list[Samples]) -> Samples:
+        """Join blocks of samples.
+
+        Parameters
+        ----------
+        blocks : list of Samples
+            At least one.
+
+        Returns
+        -------
+        Samples
+            Their rows, in order.
+        """
         return cls(*(np.concatenate([getattr(block, field.name) for block in blocks]) for field in fields(cls)))
 
 
@@ -83,10 +136,38 @@ def sample(
     transform: Callable[[Samples], Samples] = lambda block: block,
     begun: Sequence[Samples] = (),
 ) -> Samples:
-    """``count`` samples: points uniform over the area, directions uniform in a cone about the inward normal,
-    severity log-uniform about the threshold; none is rejected, those that break nothing included.
+    """Draw samples.
 
-    transform: applied to every block before they are joined. begun: the first blocks, where they are there already."""
+    Points are uniform over the area, directions uniform in a cone about the inward normal, severities log-uniform about
+    the threshold. None is rejected, those that break nothing included.
+
+    Parameters
+    ----------
+    simulator : FractureSimulator
+        What breaks the body.
+    count : int
+        Samples, at least 1.
+    seed : int
+        At least 0.
+    progress : callable
+        Called with the share that is done.
+    workers, backend
+        See ``run_blocks``.
+    transform : callable
+        Applied to every block before they are joined.
+    begun : sequence of Samples
+        The first blocks, where they have been drawn already.
+
+    Returns
+    -------
+    Samples
+        The samples.
+
+    Raises
+    ------
+    DatasetError
+        Where count or seed are out of range, or the simulator does not answer as it should.
+    """
     if count < 1 or seed < 0:
         raise DatasetError(f"a count of samples must be at least 1 and a seed at least 0, got {count} and {seed}")
     blocks = []
@@ -98,7 +179,27 @@ def sample(
 
 
 def sample_block(simulator: FractureSimulator, seed: int, block: int) -> Samples:
-    """The ``block``-th BLOCK samples of a seed."""
+    """Draw the ``block``-th BLOCK samples of a seed.
+
+    Parameters
+    ----------
+    simulator : FractureSimulator
+        What breaks the body.
+    seed : int
+        Of the whole sequence.
+    block : int
+        Which block.
+
+    Returns
+    -------
+    Samples
+        BLOCK of them.
+
+    Raises
+    ------
+    DatasetError
+        Where the simulator does not answer as it should.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, block)))
     with threadpool_limits(1):  # sums in one order, whatever the machine
         shares, kind = draw_impacts(simulator.surface, BLOCK, rng)
@@ -128,7 +229,29 @@ def sample_block(simulator: FractureSimulator, seed: int, block: int) -> Samples
 
 
 def checked(simulator: FractureSimulator, impacts: Impacts, thresholds: FloatArray, response: Response) -> Response:
-    """The response, if a simulator of whatever origin answered as it should; DatasetError says what is wrong."""
+    """Check what a simulator of whatever origin answered.
+
+    Parameters
+    ----------
+    simulator : FractureSimulator
+        The simulator.
+    impacts : Impacts
+        What it was asked.
+    thresholds : ndarray of float64, shape (N,)
+        What it said of when each impact breaks the body.
+    response : Response
+        What it said of the pieces.
+
+    Returns
+    -------
+    Response
+        The same, with labels of int64.
+
+    Raises
+    ------
+    DatasetError
+        Where shapes, types or values are not what they should be.
+    """
     name, count, parts = type(simulator).__name__, len(impacts), len(simulator.cells.volumes)
     if np.shape(thresholds) != (count,) or not (np.isfinite(thresholds).all() and (np.asarray(thresholds) > 0).all()):
         raise DatasetError(f"{name}: thresholds must be ({count},), finite and positive")

@@ -1,4 +1,4 @@
-"""TODO data.workers."""
+"""Blocks of samples made by many processes, on this machine or on a Ray cluster. Sampling uses it."""
 
 from __future__ import annotations
 
@@ -27,11 +27,37 @@ def run_blocks(
     workers: int = 1,
     backend: str = "joblib",
 ) -> Iterator[Result]:
-    """``job(simulator, seed, block)`` for every block, in order, whoever does it.
+    """Run ``job(simulator, seed, block)`` for every block, in order, whoever does it.
 
-    workers: processes. backend: "joblib", on this machine, or "ray", on the cluster that ray is connected to or that
-    the environment's RAY_ADDRESS names, or else on this machine; the block of a node that dies is made again by
-    another. The bits are the same.
+    The bits are the same for any number of workers and either backend.
+
+    Parameters
+    ----------
+    job : callable
+        What makes a block.
+    simulator : FractureSimulator
+        Sent to every worker.
+    seed : int
+        Of all blocks.
+    blocks : list of int
+        Which blocks.
+    workers : int
+        Processes.
+    backend : str
+        "joblib" for this machine. "ray" for the cluster that ray is connected to, or that the environment's RAY_ADDRESS
+        names, or else this machine; the block of a node that dies is made again by another.
+
+    Yields
+    ------
+    object
+        What the job returns, block by block.
+
+    Raises
+    ------
+    DatasetError
+        Where workers or backend are out of range.
+    MissingExtraError
+        Where ray is asked for and not installed.
     """
     check_workers(workers, backend)
     if backend == "ray":
@@ -48,6 +74,20 @@ def run_blocks(
 
 
 def check_workers(workers: int, backend: str) -> None:
+    """Refuse numbers of workers and backends that cannot be.
+
+    Parameters
+    ----------
+    workers : int
+        Processes.
+    backend : str
+        "joblib" or "ray".
+
+    Raises
+    ------
+    DatasetError
+        Where either is out of range.
+    """
     if backend not in ("joblib", "ray"):
         raise DatasetError(f"unknown backend {backend!r}; use joblib or ray")
     if workers < 1:

@@ -1,7 +1,7 @@
-"""Atoms: the building blocks of pieces, whatever truth says how these form. Offline only.
+"""Atoms, the smallest regions of a body that can come off, whatever its simulator says of pieces. Offline only.
 
-Modes bring their own atoms. A truth that cuts its cells freely has none, so its atoms are found in what it does:
-cells that its fractures keep together belong together.
+A simulator of fixed cracks brings its own atoms. Of one that cuts its cells freely, atoms are found in what it does:
+cells that its fractures keep together belong together. Bodies and baking come in here.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..common.arrays import IntArray
 from ..common.errors import BakeError, MissingExtraError
 from ..data.samples import Samples, sample_block
 from ..fracture.rule import Interfaces, separated
-from ..simulators.base import FractureSimulator, interfaces_between, pieces_from_broken
+from ..simulators.base import FineCells, FractureSimulator, interfaces_between, pieces_from_broken
 from ..simulators.fracture_modes import ATOM_FLOOR
 from ..solids.polygons import coarsen
 from ..solids.solid import Solid, merge_small_regions, relabel, shared_faces
@@ -27,15 +27,30 @@ except ImportError as error:
     raise MissingExtraError("scikit-learn", "bake") from error
 
 
-OBSERVED = 150  # atoms of a truth that has none of its own
-OBSERVED_KEPT = 2  # blocks of its fractures that they are found in
-DIMENSIONS = 64  # in which fractures are compared
+OBSERVED = 150  # atoms that are found where a simulator has none of its own
+OBSERVED_BLOCKS = 2  # blocks of its samples in which they are found
+DIMENSIONS = 64  # of the random projection in which cells are compared: keeps distances to a few per cent
 
 
 @dataclass(frozen=True, eq=False)
 class Atoms:
-    """cells: the fine solid. atom: (C,), the atom of each cell. parts: the atoms, with the surface for outside.
-    interfaces: between them. own: whether the truth's labels speak of these very atoms."""
+    """A body as A atoms, made of C fine cells, with I interfaces between the atoms.
+
+    Attributes
+    ----------
+    fine_cells : Solid
+        The C fine cells.
+    fine_to_atom : ndarray of int64, shape (C,)
+        The atom of each fine cell.
+    solid : Solid
+        The A atoms; their outside is the surface.
+    interfaces : Interfaces
+        Where two atoms meet.
+    are_the_simulators : bool
+        Whether the simulator's labels speak of these very atoms.
+    min_piece_volume_fraction : float
+        Pieces of less than this fraction of the volume join a neighbour.
+    """
 
     fine_cells: Solid
     fine_to_atom: IntArray
@@ -45,8 +60,21 @@ class Atoms:
     min_piece_volume_fraction: float
 
     def project(self, samples: Samples) -> Samples:
-        """The samples in terms of atoms: each takes the label that most of its volume has, and an atom cut off from
-        the rest of its piece is a piece of its own."""
+        """Put samples in terms of the atoms.
+
+        An atom takes the label that most of its volume has. An atom that is cut off from the rest of its piece is a
+        piece of its own.
+
+        Parameters
+        ----------
+        samples : Samples
+            With labels of the simulator's cells, (N, C).
+
+        Returns
+        -------
+        Samples
+            With labels (N, A) and broken (N, I).
+        """
         if self.are_the_simulators:
             if samples.broken.shape[1]:
                 return samples
@@ -64,34 +92,81 @@ class Atoms:
 
 
 def observe_fractures(simulator: FractureSimulator, seed: int) -> list[Samples]:
-    """The first blocks of a truth that has no atoms of its own, for ``atoms_for``; none of any other."""
-    return [] if simulator.fixed_cracks else [sample_block(simulator, seed, block) for block in range(OBSERVED_KEPT)]
+    """Draw the first blocks of samples of a simulator that has no atoms of its own, for ``atoms_for``.
+
+    Parameters
+    ----------
+    simulator : FractureSimulator
+        The simulator.
+    seed : int
+        Of the samples.
+
+    Returns
+    -------
+    list of Samples
+        The blocks; none where the simulator's cracks are fixed.
+    """
+    return [] if simulator.fixed_cracks else [sample_block(simulator, seed, block) for block in range(OBSERVED_BLOCKS)]
 
 
-def atoms_for(simulator: FractureSimulator, watched: list[Samples], min_piece_volume_fraction: float) -> Atoms:
-    """The simulator's own atoms where its cracks are fixed, or those seen in the training fractures ``watched``."""
-    parts = simulator.cells
+def atoms_for(simulator: FractureSimulator, observed: list[Samples], min_piece_volume_fraction: float) -> Atoms:
+    """Find the atoms of a simulator's body.
+
+    Parameters
+    ----------
+    simulator : FractureSimulator
+        The simulator; where its cracks are fixed, its own cells are the atoms.
+    observed : list of Samples
+        Else, fractures whose training split the atoms are found in.
+    min_piece_volume_fraction : float
+        Pieces of less than this fraction of the volume join a neighbour.
+
+    Returns
+    -------
+    Atoms
+        The atoms.
+
+    Raises
+    ------
+    BakeError
+        Where no observed fracture breaks the body.
+    """
+    cells = simulator.cells
     if simulator.fixed_cracks:
-        cells, atom = getattr(simulator, "fine_cells", None), getattr(simulator, "fine_to_cell", None)
-        if not (isinstance(cells, Solid) and isinstance(atom, np.ndarray) and len(atom) == len(cells.volumes)):
-            cells, atom = parts, np.arange(len(parts.volumes))
-        return Atoms(cells, atom, parts, interfaces_between(parts), True, min_piece_volume_fraction)
-    labels = np.concatenate([block.labels[block.split == 0] for block in watched])
+        fine, atom = cells, np.arange(len(cells.volumes))
+        if isinstance(simulator, FineCells):
+            fine, atom = simulator.fine_cells, simulator.fine_to_cell
+        return Atoms(fine, atom, cells, interfaces_between(cells), True, min_piece_volume_fraction)
+    labels = np.concatenate([block.labels[block.split == 0] for block in observed])
     if not labels.any():
-        raise BakeError(f"{simulator.surface.name}: no fracture of its truth parts it")
-    atom = observed_atoms(parts, labels[labels.any(axis=1)], OBSERVED)
-    blocks = coarsen(relabel(parts, atom), simulator.surface)
+        raise BakeError(f"{simulator.surface.name}: no fracture of its simulator breaks it; use another simulator")
+    atom = observed_atoms(cells, labels[labels.any(axis=1)], OBSERVED)
+    blocks = coarsen(relabel(cells, atom), simulator.surface)
     interfaces = interfaces_between(blocks)
     if len(interfaces) == 0:
-        raise BakeError(f"{simulator.surface.name}: no fracture of its truth parts it")
-    return Atoms(parts, atom, blocks, interfaces, False, min_piece_volume_fraction)
+        raise BakeError(f"{simulator.surface.name}: no fracture of its simulator breaks it; use another simulator")
+    return Atoms(cells, atom, blocks, interfaces, False, min_piece_volume_fraction)
 
 
 def observed_atoms(cells: Solid, labels: IntArray, count: int) -> IntArray:
-    """(C,) about ``count`` connected groups of cells that fractures seldom part.
+    """Find connected groups of cells that fractures seldom separate.
 
-    labels: (N, C). Ward's clustering among neighbouring cells; two cells are as far apart as the number of fractures
-    that part them, kept up to a few per cent by a random projection.
+    Ward's clustering (Ward 1963) among neighbouring cells. Two cells are as far apart as the number of fractures that
+    separate them, kept up to a few per cent by a random projection (Johnson and Lindenstrauss 1984).
+
+    Parameters
+    ----------
+    cells : Solid
+        C cells.
+    labels : ndarray of int64, shape (N, C)
+        The piece of each cell in each fracture.
+    count : int
+        Groups, about.
+
+    Returns
+    -------
+    ndarray of int64, shape (C,)
+        The group of each cell.
     """
     pairs, areas, _ = shared_faces(cells.triangles, cells.sides, cells.points)
     total = len(cells.volumes)

@@ -1,4 +1,7 @@
-"""Training of the field model, in torch. Offline only; ``field.py`` is what runs."""
+"""The default model: which interfaces break, learned in torch and run in numpy (``fracture.predictor``). Offline only.
+
+Baking trains it for every asset; the models ``interfaces`` and ``shared`` are made of its parts.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +15,19 @@ import numpy.typing as npt
 from ..common.arrays import Float32Array, FloatArray, IntArray
 from ..common.errors import MissingExtraError, ModelError
 from ..data.samples import Samples
-from ..fracture.predictor import FLOOR, FieldWeights, field_from_scores, minimax_scores
+from ..fracture.predictor import FieldWeights, field_from_scores, minimax_scores
 from ..fracture.rule import components
 from ..metrics import ari
 from ..simulators.base import Impacts, merge_small_pieces_each
 from ..solids.geodesics import CAP
 from ..solids.spectrum import Spectrum
 from .body import BodyGeometry
+from .devices import device_for
+from .field_network import ContactPatches, FieldNetwork, frozen
 from .model import Model
 from .options import TrainingOptions
 from .search import Range
-from .trainer import Run, device_for, train
+from .trainer import Run, train
 
 try:
     import torch
@@ -37,11 +42,26 @@ JUDGED = 1000  # validation samples, at most, that the choice looks at
 
 @dataclass(frozen=True)
 class FieldOptions:
-    """width: of the hidden layers. eigenfunctions, radii: ``spectrum``. prior: whether impacts are presumed to spread
-    like heat. response: whether interfaces have 3 x 3 responses of their own beside the atoms' potentials, as a truth
-    in which pushes pull elsewhere needs. filter_rate: how many times faster the few numbers of the prior and of the
-    rule learn than the free weights, which else would learn around them. Steps, not seconds, so that a seed fixes
-    the model.
+    """Hyperparameters of the field model. The budget is in steps, not seconds, so that a seed fixes the model.
+
+    Attributes
+    ----------
+    width : int
+        Of the hidden layers.
+    eigenfunctions : int
+        Of the solid's Laplacian, see ``solids.spectrum``.
+    radii : tuple of float
+        Of the patches that these are averaged over, in units of the largest extent.
+    prior : bool
+        Whether impacts are presumed to spread like heat.
+    response : bool
+        Whether interfaces have responses of their own, 3 x 3, beside the atoms' potentials. A simulator in which a push
+        can pull elsewhere needs them.
+    filter_rate : float
+        How many times faster the few numbers of the prior and of the rule learn than the free weights, which would
+        else learn around them.
+    training : TrainingOptions
+        Its batch is a number of samples.
     """
 
     width: int = 64
@@ -57,122 +77,22 @@ class FieldOptions:
     )
 
 
-class FieldNetwork(torch.nn.Module):
-    """The network of FieldModel, with a prior: an impact presses on a patch and spreads from it like heat.
-
-    The skip connection holds, beside free weights, a heat kernel between the contact and the atoms,
-    Σ_rk s_r(λ_k) φ_rk(x) φ̄_k(a), of which the filter s is learned. Without it the same training ends at a far
-    larger error: benchmarks/prior.py. It has the form of the modal truth, whose numbers it has to find.
-    """
-
-    heat: torch.Tensor
-    normals: torch.Tensor
-    incidence: torch.Tensor
-
-    def __init__(self, geometry: Spectrum, pairs: IntArray, normals: FloatArray, options: FieldOptions) -> None:
-        super().__init__()
-        modes, atoms = geometry.means.shape
-        radii, count = geometry.functions.shape[1], len(pairs)
-        inputs = 3 + radii * modes
-        self.outputs, self.atoms = atoms + (9 * count if options.response else 0), atoms
-        self.first = torch.nn.Linear(inputs, options.width)
-        self.second = torch.nn.Linear(options.width, options.width)
-        self.last = torch.nn.Linear(options.width, self.outputs)
-        torch.nn.init.zeros_(self.last.bias)
-        self.free = torch.nn.Parameter(torch.zeros(inputs, self.outputs))
-        self.prior = options.prior
-        if self.prior:
-            torch.nn.init.zeros_(self.last.weight)
-        else:
-            torch.nn.init.normal_(self.free, std=0.3 * inputs**-0.5)  # at 0 an opening has no gradient
-        decline = -np.log1p(geometry.values / 30) - np.log(radii)
-        self.log_filter = torch.nn.Parameter(torch.tensor(np.tile(decline, (radii, 1)), dtype=torch.float32))
-        self.log_gain = torch.nn.Parameter(torch.zeros(count))
-        self.slope = torch.nn.Parameter(torch.tensor(3.0))
-        self.offset = torch.nn.Parameter(torch.tensor(0.0))
-        self.log_push = torch.nn.Parameter(torch.tensor(-2.0))
-        self.log_shear = torch.nn.Parameter(torch.tensor(0.0))
-        incidence = np.zeros((atoms, count), dtype=np.float32)
-        incidence[pairs[:, 0], np.arange(count)] = -1.0
-        incidence[pairs[:, 1], np.arange(count)] = 1.0
-        self.register_buffer("heat", torch.tensor(geometry.means, dtype=torch.float32))
-        self.register_buffer("normals", torch.tensor(normals.T, dtype=torch.float32))
-        self.register_buffer("incidence", torch.tensor(incidence))
-
-    def skip(self) -> torch.Tensor:
-        """(D, C) free weights and prior together; positions take no part in the prior."""
-        if not self.prior:
-            return self.free
-        heat = (self.log_filter.exp()[:, :, None] * self.heat).reshape(-1, self.atoms)
-        return self.free + torch.nn.functional.pad(heat, (0, self.outputs - self.atoms, 3, 0))
-
-    def forward(
-        self, x: torch.Tensor, directions: torch.Tensor, severities: torch.Tensor, row: torch.Tensor, batch: int
-    ) -> torch.Tensor:
-        """(B, I) logits; x, directions, severities: of the M contacts of a whole batch, row: (M,) whose they are."""
-        hidden = x
-        for layer in (self.first, self.second):
-            hidden = torch.nn.functional.silu(layer(hidden))
-        response = (x @ self.skip() + self.last(hidden)) * severities[:, None]
-        moved = directions[:, :, None] * response[:, None, : self.atoms]
-        opening = x.new_zeros(batch, 3, self.atoms).index_add(0, row, moved) @ self.incidence  # (B, 3, I)
-        if self.outputs > self.atoms:
-            matrices = response[:, self.atoms :].reshape(len(x), 3, 3, -1)
-            turned = (matrices * directions[:, None, :, None]).sum(dim=2)
-            opening = opening.index_add(0, row, turned)
-        normal = (opening * self.normals).sum(dim=1)
-        tangent = torch.relu((opening**2).sum(dim=1) - normal**2)
-        squared = (
-            torch.relu(normal) ** 2 + self.log_push.exp() * torch.relu(-normal) ** 2 + self.log_shear.exp() * tangent
-        )
-        return self.slope * (torch.log(squared + FLOOR) + 2.0 * self.log_gain) + self.offset
-
-    def split_parameters(self) -> tuple[list[torch.nn.Parameter], list[torch.nn.Parameter]]:
-        """The few numbers of the prior and the rule, and the free weights."""
-        shared = [self.log_filter, self.log_gain, self.slope, self.offset, self.log_push, self.log_shear]
-        return shared, [p for p in self.parameters() if all(p is not q for q in shared)]
-
-
-class ContactPatches:
-    """Samples as flat lists of the contacts that are there, most samples having one of the most possible."""
-
-    def __init__(self, samples: Samples, coordinates: FloatArray, faces: IntArray) -> None:
-        active = samples.severities > 0
-        row, slot = np.nonzero(active)
-        self.corners = torch.as_tensor(faces[samples.faces[row, slot]])
-        self.barycentric = torch.as_tensor(samples.barycentric[row, slot], dtype=torch.float32)
-        self.coordinates = torch.as_tensor(coordinates, dtype=torch.float32)
-        self.directions = torch.as_tensor(samples.directions[row, slot], dtype=torch.float32)
-        self.severities = torch.as_tensor(samples.severities[row, slot], dtype=torch.float32)
-        self.count = torch.as_tensor(active.sum(axis=1))
-        self.start = torch.cumsum(self.count, 0) - self.count
-        self.broken = torch.as_tensor(samples.broken)
-
-    def logits(self, net: torch.nn.Module, chosen: torch.Tensor) -> torch.Tensor:
-        count = self.count[chosen]
-        row = torch.repeat_interleave(torch.arange(len(chosen)), count)
-        first = torch.cumsum(count, 0) - count
-        contact = self.start[chosen][row] + torch.arange(len(row)) - first[row]
-        corners, barycentric = self.corners[contact], self.barycentric[contact]
-        x = torch.stack([barycentric[:, k, None] * self.coordinates[corners[:, k]] for k in range(3)]).sum(dim=0)
-        where = x, self.directions[contact], self.severities[contact], row
-        device = next(net.parameters()).device
-        return net(*(values.to(device) for values in where), len(chosen))
-
-    def loss(self, net: torch.nn.Module, chosen: torch.Tensor) -> torch.Tensor:
-        logits = self.logits(net, chosen)
-        truth = self.broken[chosen].to(logits.device, torch.float32)
-        return torch.nn.functional.binary_cross_entropy_with_logits(logits, truth)
-
-
 class FieldLearner:
-    """What the trainer needs: which interfaces broke, by binary cross-entropy."""
+    """What the trainer fits: which interfaces broke, by binary cross-entropy. See ``trainer.Learner``.
+
+    Attributes
+    ----------
+    module : FieldNetwork
+        The network.
+    count : int
+        Training samples.
+    """
 
     def __init__(self, body: BodyGeometry, samples: Samples, geometry: Spectrum, options: FieldOptions) -> None:
         interfaces = body.interfaces
-        self.module = FieldNetwork(geometry, interfaces.pairs, interfaces.normals, options).to(
-            device_for(options.training)
-        )
+        self.module = FieldNetwork(
+            geometry, interfaces.pairs, interfaces.normals, options.width, options.prior, options.response
+        ).to(device_for(options.training))
         self.options = options
         self.training, self.validation = (
             ContactPatches(samples.of_split(k), geometry.coordinates, body.faces) for k in range(2)
@@ -180,6 +100,7 @@ class FieldLearner:
         self.count = len(self.training.count)
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
+        """Give the few numbers of the prior a faster rate and no decay."""
         shared, free = self.module.split_parameters()
         return [
             {"params": free, "lr": rate, "weight_decay": self.options.training.decay},
@@ -187,9 +108,11 @@ class FieldLearner:
         ]
 
     def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """Work out the loss of training samples."""
         return self.training.loss(self.module, rows)
 
     def validate(self) -> float:
+        """Work out the loss of the validation samples."""
         with torch.no_grad():
             rows = torch.split(torch.arange(len(self.validation.count)), VALIDATION_CHUNK)
             total = sum(float(self.validation.loss(self.module, chunk)) * len(chunk) for chunk in rows)
@@ -198,7 +121,15 @@ class FieldLearner:
 
 @dataclass(frozen=True, eq=False)
 class FieldModel(Model):
-    """The default model of a body: its break scores, the single linkage over them, and the field that follows."""
+    """The default model of a body: break scores, the single linkage over them, and the field that follows.
+
+    Attributes
+    ----------
+    body : BodyGeometry
+        The body.
+    net : FieldWeights
+        The weights, as an asset carries them.
+    """
 
     kind: ClassVar[str] = "field"
     options_type: ClassVar[type] = FieldOptions
@@ -219,7 +150,31 @@ class FieldModel(Model):
         seed: int = 0,
         run: Run | None = None,
     ) -> tuple[Self, dict[str, float]]:
-        """Learn from samples.part(0) which interfaces break, and from samples.part(1) from which score on."""
+        """Learn from the training split which interfaces break, and from the validation split from which score on.
+
+        Parameters
+        ----------
+        body : BodyGeometry
+            The body.
+        samples : Samples
+            They say which interfaces broke.
+        options : FieldOptions, optional
+            Hyperparameters.
+        seed : int
+            Fixes the weights to the bit on a CPU.
+        run : Run, optional
+            Progress, checkpoint and log.
+
+        Returns
+        -------
+        tuple
+            The model, and figures of the training, with the level and its validation ARI among them.
+
+        Raises
+        ------
+        ModelError
+            Where the samples do not say which interfaces broke, or the training diverges.
+        """
         options = options or FieldOptions()
         if not samples.broken.shape[1]:
             raise ModelError(f"{body.surface.name}: its samples do not say which interfaces broke")
@@ -234,6 +189,18 @@ class FieldModel(Model):
         return replace(model, net=replace(net, level=np.array([level], dtype=np.float32))), figures
 
     def best_level(self, validation: Samples) -> tuple[float, float]:
+        """Choose the score from which on an interface counts as broken, by the mean ARI on samples that break the body.
+
+        Parameters
+        ----------
+        validation : Samples
+            Held-out samples, of which the first JUDGED are looked at.
+
+        Returns
+        -------
+        tuple of (float, float)
+            The level among LEVELS, and its mean ARI; nan where no sample breaks the body.
+        """
         rows = np.flatnonzero(validation.labels.any(axis=1))[:JUDGED]
         if not len(rows):
             return 0.5, float("nan")
@@ -249,27 +216,41 @@ class FieldModel(Model):
         return best, best_score
 
     def break_scores(self, impacts: Impacts) -> FloatArray:
-        """(N, I)"""
+        """Work out how surely each interface breaks.
+
+        Parameters
+        ----------
+        impacts : Impacts
+            N impacts.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, I)
+            Between 0 and 1.
+        """
         return np.array(
             [self.net.scores(*impact, self.body.interfaces.pairs) for impact in located(self.body, impacts)]
         )
 
     def predict_labels(self, impacts: Impacts) -> IntArray:
-        """(N, A) the pieces, with no field between."""
+        """Work out the piece of each atom, (N, A), with no field between."""
         return self._labels(self.break_scores(impacts), float(self.net.level[0]))
 
     def predict(self, impacts: Impacts) -> Float32Array:
+        """Work out the fields at the vertices, (N, V), by single linkage over the break scores."""
         return self._fields(impacts, self.body.distances[:, : len(self.body.vertices)])
 
     def predict_nodes(self, impacts: Impacts) -> Float32Array:
-        """(N, V + E): at the edge midpoints as well."""
+        """Work out the same at vertices and edge midpoints, (N, V + E)."""
         return self._fields(impacts, self.body.distances)
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
+        """Lay down the weights."""
         return dict(vars(self.net)), {}
 
     @classmethod
     def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
+        """Make the model again from its weights, where they are of this body."""
         net = FieldWeights(**{field.name: arrays[field.name] for field in fields(FieldWeights)})
         if len(net.coordinates) != len(body.vertices) or len(net.normals) != len(body.interfaces):
             raise ModelError("it is of another body")
@@ -287,7 +268,20 @@ class FieldModel(Model):
 
 
 def located(body: BodyGeometry, impacts: Impacts) -> Iterator[tuple[IntArray, FloatArray, FloatArray, FloatArray]]:
-    """The arguments of FieldModel.scores, impact by impact."""
+    """Take impacts one by one, as ``FieldWeights.scores`` does.
+
+    Parameters
+    ----------
+    body : BodyGeometry
+        The body.
+    impacts : Impacts
+        N impacts.
+
+    Yields
+    ------
+    tuple
+        Corners (K, 3), barycentric coordinates (K, 3), directions (K, 3) and severities (K,) of the contacts that act.
+    """
     for k in range(len(impacts)):
         active = np.flatnonzero(impacts.severities[k])
         yield (
@@ -296,28 +290,3 @@ def located(body: BodyGeometry, impacts: Impacts) -> Iterator[tuple[IntArray, Fl
             impacts.directions[k, active],
             impacts.severities[k, active],
         )
-
-
-def frozen(net: FieldNetwork, body: BodyGeometry, geometry: Spectrum, severity: float) -> FieldWeights:
-    """The weights as numpy runs them."""
-
-    def array(tensor: torch.Tensor) -> npt.NDArray[np.float32]:
-        return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float32)
-
-    weights = {}
-    for k, layer in enumerate((net.first, net.second, net.last)):
-        weights[f"weights_{k}"] = array(layer.weight.T)
-        weights[f"biases_{k}"] = array(layer.bias)
-    ones = torch.ones(len(body.interfaces), device=net.slope.device)
-    return FieldWeights(
-        coordinates=geometry.coordinates.astype(np.float32),
-        skip=array(net.skip()),
-        **weights,
-        slope=array(net.slope * ones),
-        offset=array(net.offset + 2.0 * net.slope * net.log_gain),
-        push=array(net.log_push.exp() * ones),
-        shear=array(net.log_shear.exp() * ones),
-        normals=body.interfaces.normals.astype(np.float32),
-        severity=np.array([severity], dtype=np.float32),
-        level=np.array([0.5], dtype=np.float32),
-    )

@@ -1,4 +1,7 @@
-"""The thesis's best model (section 4.4.1): one perceptron that is asked at every vertex by itself. Offline only."""
+"""The thesis's best model (section 4.4.1): one perceptron that is asked at every vertex by itself. Offline only.
+
+Reached by its name in MODELS.
+"""
 
 from __future__ import annotations
 
@@ -36,9 +39,26 @@ VALIDATION_VERTICES = 64  # of each validation impulse: enough for a mean over 2
 
 @dataclass(frozen=True)
 class MLPOptions:
-    """width, layers: of the hidden layers (thesis, Table 5.1). severity: whether the impulse's strength is an input;
-    the thesis's own has none. points: where training points are, at vertices or uniform over the surface. filled:
-    see ``train.amae_loss``. training: its batch is a number of points (thesis, section 4.8)."""
+    """Hyperparameters of the perceptron; the defaults are the thesis's (Table 5.1).
+
+    Attributes
+    ----------
+    width, layers : int
+        Of the hidden layers.
+    severity : bool
+        Whether the impulse's strength is an input; the thesis's own model has none.
+    points : str
+        Where training points are: at "vertices", or uniform over the "surface".
+    filled : float
+        See ``targets.amae_loss``.
+    training : TrainingOptions
+        Its batch is a number of points (thesis, section 4.8).
+
+    Raises
+    ------
+    ModelError
+        Where a value is out of range.
+    """
 
     width: int = 704
     layers: int = 7
@@ -54,7 +74,15 @@ class MLPOptions:
 
 
 class Perceptron(torch.nn.Module):
-    """Linear layers of one width, each with layer normalisation and ReLU, and a single output."""
+    """Linear layers of one width, each with layer normalisation and ReLU, and a single output.
+
+    Parameters
+    ----------
+    inputs : int
+        Numbers that go in.
+    width, layers : int
+        Of the hidden layers.
+    """
 
     def __init__(self, inputs: int, width: int, layers: int) -> None:
         super().__init__()
@@ -65,14 +93,26 @@ class Perceptron(torch.nn.Module):
         self.last = torch.nn.Linear(width, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """(B, inputs) to (B,)"""
+        """Answer inputs (B, inputs) with distances (B,)."""
         x = self.hidden(x)
         with torch.autocast(x.device.type, enabled=False):  # a distance of 0.3 to 8 bits would be 0.001 off
             return self.last(x.float())[:, 0]
 
 
 class MLP(Model):
-    """A vertex's coordinates and the impulse in, the vertex's distance out."""
+    """A vertex's coordinates and the impulse go in, the vertex's distance comes out.
+
+    Attributes
+    ----------
+    body : BodyGeometry
+        The body.
+    net : Perceptron
+        The network.
+    inputs : ImpulseInputs
+        How impulses are put to it.
+    options : MLPOptions
+        Hyperparameters.
+    """
 
     kind: ClassVar[str] = "mlp"
     options_type: ClassVar[type[MLPOptions]] = MLPOptions
@@ -87,20 +127,33 @@ class MLP(Model):
     def fit(
         cls, body: BodyGeometry, samples: Samples, options: MLPOptions, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
+        """Learn from the training split and watch the validation split, see ``Model.fit``."""
         device, splits, inputs = start_network(body, samples, options, seed)
         net = Perceptron(3 + inputs.count, options.width, options.layers).to(device)
         model = cls(body, net, inputs, options)
         return model, train(PointLearner(model, *splits, device), options.training, seed, run)
 
     def on(self, body: BodyGeometry) -> Self:
-        """The same network asked about another mesh of the same shape."""
+        """Ask the same network about another mesh of the same shape.
+
+        Parameters
+        ----------
+        body : BodyGeometry
+            With other vertices.
+
+        Returns
+        -------
+        MLP
+            The model.
+        """
         return type(self)(body, self.net, self.inputs, self.options)
 
     def predict(self, impacts: Impacts) -> Float32Array:
+        """Work out the fields at the vertices, (N, V)."""
         return self._at(self.body.vertices, impacts)
 
     def predict_nodes(self, impacts: Impacts) -> Float32Array:
-        """(N, V + E) at edge midpoints as well."""
+        """Work out the same at vertices and edge midpoints, (N, V + E)."""
         return self._at(self.body.nodes, impacts)
 
     def _at(self, points: FloatArray, impacts: Impacts) -> Float32Array:
@@ -117,11 +170,13 @@ class MLP(Model):
         return result.reshape(len(impacts), len(points))
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
+        """Lay down the weights and what the network was made with."""
         arrays = {name: value.cpu().numpy() for name, value in self.net.state_dict().items()}
         return arrays, {"inputs": asdict(self.inputs), "width": self.options.width, "layers": self.options.layers}
 
     @classmethod
     def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
+        """Make the model again from its weights."""
         inputs = read_numbers(ImpulseInputs, numbers["inputs"])
         options = replace(MLPOptions(), width=numbers["width"], layers=numbers["layers"], severity=inputs.severity)
         net = Perceptron(3 + inputs.count, options.width, options.layers)
@@ -130,10 +185,17 @@ class MLP(Model):
 
 
 class PointLearner:
-    """Training rows are pairs of a sample and a vertex, or as many points anywhere on the surface.
+    """What the trainer fits: rows are pairs of a sample and a vertex, or as many points anywhere on the surface.
 
-    A field bends at a crack, so between vertices it is read from the quarter triangle around the point: linear
-    between the corners and edge midpoints there, which is exact but where a crack crosses that quarter.
+    A field bends at a crack, so between vertices it is read from the quarter triangle around the point: linear between
+    the corners and edge midpoints there, which is exact except where a crack crosses that quarter.
+
+    Attributes
+    ----------
+    module : Perceptron
+        The network.
+    count : int
+        Training samples times vertices.
     """
 
     def __init__(self, model: MLP, samples: Samples, validation: Samples, device: torch.device) -> None:
@@ -156,9 +218,11 @@ class PointLearner:
         self.truth = np.take_along_axis(body.fields(held_out.labels), self.asked, axis=1)
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
+        """Put all weights in one group."""
         return [{"params": list(self.module.parameters())}]
 
     def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+        """Work out the loss of points, see ``targets.amae_loss``."""
         sample = torch.div(rows, self.vertices, rounding_mode="floor")
         if self.anywhere:
             node, weight = self.draw(len(rows), generator)
@@ -171,7 +235,22 @@ class PointLearner:
         return amae_loss(predicted, truth, self.model.options.filled)
 
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-        """Points uniform over the area: the nodes (B, 3) around each, and its barycentric coordinates (B, 3) there."""
+        """Draw points uniform over the area.
+
+        Parameters
+        ----------
+        count : int
+            Points, B.
+        generator : Generator
+            The source of chance.
+
+        Returns
+        -------
+        nodes : Tensor of int64, shape (B, 3)
+            The nodes around each point.
+        weights : Tensor, shape (B, 3)
+            Its barycentric coordinates between them.
+        """
         u = torch.rand(count, 3, generator=generator)
         face = torch.searchsorted(self.below, u[:, 0].double()).clamp(max=len(self.below) - 1)
         root = u[:, 1].sqrt()
@@ -189,6 +268,7 @@ class PointLearner:
         )
 
     def validate(self) -> float:
+        """Work out the AMAE at some vertices of the validation samples."""
         where = self.nodes[torch.as_tensor(self.asked, device=self.device)]  # (N, P, 3)
         predicted = [
             self.module(torch.cat([points, impulse.expand(len(points), -1)], dim=1)).clamp(0.0, CAP).cpu().numpy()

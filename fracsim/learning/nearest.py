@@ -1,6 +1,7 @@
-"""The row without learning: an impact does what the most similar training impulse did. No torch.
+"""The row without learning: an impact does what the most similar training impulse did. No network.
 
 Impulses are compared by where they act and which way, both in the mean over contacts, and by how severe they are.
+Reached by its name in MODELS; ``asset_figures`` measures assets against it.
 """
 
 from __future__ import annotations
@@ -35,8 +36,20 @@ JUDGES = 300  # validation impulses that choose
 
 @dataclass(frozen=True)
 class NearestOptions:
-    """Weights of a difference in position, of the largest extent, and in the logarithm of severity, against one in
-    direction; those that are not given are chosen on validation impulses."""
+    """Weights of a difference in position and in severity, against one of 1 in direction.
+
+    Attributes
+    ----------
+    position : float or None
+        For each unit of the largest extent; None for the best of POSITIONS on validation impulses.
+    severity : float or None
+        For each unit of the logarithm of severity; None for the best of SEVERITIES likewise.
+
+    Raises
+    ------
+    ModelError
+        Where a value is negative or not finite.
+    """
 
     position: float | None = None
     severity: float | None = None
@@ -49,8 +62,26 @@ class NearestOptions:
 
 
 class Nearest(Model):
-    """keys: (M, 7) float32, ``resultant`` of the training impulses. fractures: (U, A), the different labels of atoms
-    among them, and fracture: (M,), which of these each left."""
+    """The training impulses and what each did.
+
+    Attributes
+    ----------
+    body : BodyGeometry
+        The body.
+    keys : ndarray of float32, shape (M, 7)
+        ``whole_field.resultant`` of the training impulses.
+    fractures : ndarray of int64, shape (U, A)
+        The different labels of atoms that they left.
+    fracture : ndarray of int64, shape (M,)
+        Which of these each left.
+    options : NearestOptions
+        With both weights.
+
+    Raises
+    ------
+    ModelError
+        Where a weight is None.
+    """
 
     kind: ClassVar[str] = "nearest"
     options_type: ClassVar[type[NearestOptions]] = NearestOptions
@@ -72,7 +103,31 @@ class Nearest(Model):
     def fit(
         cls, body: BodyGeometry, samples: Samples, options: NearestOptions, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
-        """Remember the training samples; the seed makes no difference."""
+        """Remember the training samples, and choose weights on the validation samples; the seed makes no difference.
+
+        Parameters
+        ----------
+        body : BodyGeometry
+            The body.
+        samples : Samples
+            What is remembered.
+        options : NearestOptions
+            Weights.
+        seed : int
+            Unused.
+        run : Run, optional
+            Progress.
+
+        Returns
+        -------
+        tuple
+            The model, and figures: rows, fractures and the weights.
+
+        Raises
+        ------
+        ModelError
+            Where there are no training samples, or none to choose weights by.
+        """
         train, validation = samples.of_split(0), samples.of_split(1)
         if not len(train):
             raise ModelError("there is nothing to remember; make more samples with: fracsim dataset make")
@@ -104,18 +159,20 @@ class Nearest(Model):
         return best[1], {**figures, "position": float(best[1].weights[0]), "severity": float(best[1].weights[-1])}
 
     def predict_labels(self, impacts: Impacts) -> IntArray:
-        """(N, A) the piece of each atom."""
+        """Look up the piece of each atom, (N, A)."""
         _, row = self.tree.query(resultant(impacts, self.body.surface).astype(np.float32) * self.weights)
         return self.fractures[self.fracture[row]]
 
     def predict(self, impacts: Impacts) -> Float32Array:
+        """Work out the fields of these labels at the vertices, (N, V)."""
         return self.body.fields(self.predict_labels(impacts))
 
     def predict_nodes(self, impacts: Impacts) -> Float32Array:
-        """(N, V + E) at edge midpoints as well."""
+        """Work out the same at vertices and edge midpoints, (N, V + E)."""
         return self.body.fields(self.predict_labels(impacts), nodes=True)
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
+        """Lay down the keys and fractures, in small integers."""
         small = np.min_scalar_type(int(self.fractures.max(initial=0)))
         arrays = {
             "keys": self.keys,
@@ -126,6 +183,7 @@ class Nearest(Model):
 
     @classmethod
     def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
+        """Make the model again, where its fractures are of this body's atoms."""
         fractures, fracture = (arrays[name].astype(np.int64) for name in ("fractures", "fracture"))
         if fractures.shape[1:] != (len(body.volumes),):
             raise ModelError(f"its fractures are of {fractures.shape[1:]} atoms, the body has {len(body.volumes)}")

@@ -142,13 +142,13 @@ def with_training(options: Options, values: Mapping[str, Any]) -> Options:
     (64, 100, None)
     """
     training = training_of(options)
-    own = [name for name in _types(type(options)) if name != "training"]
+    fields_of_its_own = [name for name in _types(type(options)) if name != "training"]
     trained = list(_types(TrainingOptions))
-    outer = {name: value for name, value in values.items() if name in own}
-    inner = {name: value for name, value in values.items() if name not in own}
+    outer = {name: value for name, value in values.items() if name in fields_of_its_own}
+    inner = {name: value for name, value in values.items() if name not in fields_of_its_own}
     if training is None and (refused := [name for name in inner if name in trained]):
         raise ModelError(f"{', '.join(refused)} cannot be set: this model is not trained step by step")
-    known = own if training is None else [*own, *trained]
+    known = fields_of_its_own if training is None else [*fields_of_its_own, *trained]
     if unknown := [name for name in inner if name not in known]:
         raise ModelError(f"unknown option {unknown[0]!r}; there are {', '.join(known) or 'none'}")
     if inner and training is not None:

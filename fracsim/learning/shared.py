@@ -1,7 +1,8 @@
 """One model for many bodies: how an impact spreads and what breaks an interface, learned once for all of them.
 
-Nothing in it belongs to a mesh. A body brings its geometry (the eigenfunctions of its Laplacian and the interfaces
-between its atoms), so a body that it never saw needs a solid and its atoms, but no samples and no training.
+Nothing in it belongs to one body. A body brings its geometry (the eigenfunctions of its Laplacian and the interfaces
+between its atoms), so a new body needs a solid and its atoms, but no samples and no training. Reached by its name in
+MODELS.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from ..common.errors import MissingExtraError, ModelError
 from ..data.samples import Samples
 from ..solids.spectrum import Spectrum
 from .body import BodyGeometry
-from .field import ContactPatches, FieldModel, FieldNetwork, FieldOptions, frozen
+from .field import FieldModel
+from .field_network import ContactPatches, FieldNetwork, frozen
 from .options import TrainingOptions
 from .search import Range
 from .trainer import Run, train
@@ -36,8 +38,19 @@ RULE = ("slope", "offset", "log_push", "log_shear")
 
 @dataclass(frozen=True)
 class SharedOptions:
-    """knots: of the filter, a piecewise linear function of the logarithm of the eigenvalue. eigenfunctions, radii:
-    ``spectrum``."""
+    """Hyperparameters of the shared model.
+
+    Attributes
+    ----------
+    knots : int
+        Of the filter, a piecewise linear function of the logarithm of the eigenvalue.
+    eigenfunctions : int
+        Of each body's Laplacian, see ``solids.spectrum``.
+    radii : tuple of float
+        Of the patches that these are averaged over, in units of the largest extent.
+    training : TrainingOptions
+        Its batch is a number of samples, of all bodies together.
+    """
 
     knots: int = 16
     eigenfunctions: int = 96
@@ -48,7 +61,7 @@ class SharedOptions:
 
 
 class _SharedNet(torch.nn.Module):
-    """The numbers that all bodies share; ``at`` puts them into a body's own network, whose free weights are 0."""
+    """The numbers that all bodies share; a body's own network takes them in place of its own."""
 
     def __init__(self, radii: int, knots: int) -> None:
         super().__init__()
@@ -70,7 +83,7 @@ class _TrainingBody(torch.nn.Module):
     def __init__(self, body: BodyGeometry, samples: Samples, options: SharedOptions, shared: _SharedNet) -> None:
         super().__init__()
         geometry = body.spectrum(options.eigenfunctions, options.radii)
-        self.net = blank(body, geometry, options)
+        self.net = blank(body, geometry)
         self.hat = hats(geometry.values, options.knots)
         self.shared = shared
         self.contacts = [ContactPatches(samples.of_split(k), geometry.coordinates, body.faces) for k in range(2)]
@@ -79,10 +92,22 @@ class _TrainingBody(torch.nn.Module):
         return torch.func.functional_call(self.net, self.shared.numbers(self.hat), arguments)
 
 
-def blank(body: BodyGeometry, geometry: Spectrum, options: SharedOptions) -> FieldNetwork:
-    """A body's network with no weights of its own: the smallest hidden layers, all zero."""
-    plain = FieldOptions(width=1, eigenfunctions=options.eigenfunctions, radii=options.radii)
-    net = FieldNetwork(geometry, body.interfaces.pairs, body.interfaces.normals, plain)
+def blank(body: BodyGeometry, geometry: Spectrum) -> FieldNetwork:
+    """Make a body's network with no weights of its own: the smallest hidden layers, all zero.
+
+    Parameters
+    ----------
+    body : BodyGeometry
+        The body.
+    geometry : Spectrum
+        Its eigenfunctions.
+
+    Returns
+    -------
+    FieldNetwork
+        The network.
+    """
+    net = FieldNetwork(geometry, body.interfaces.pairs, body.interfaces.normals, 1, prior=True, response=False)
     for parameter in net.parameters():
         parameter.requires_grad_(False)
         if parameter.ndim:
@@ -91,7 +116,20 @@ def blank(body: BodyGeometry, geometry: Spectrum, options: SharedOptions) -> Fie
 
 
 def hats(values: FloatArray, knots: int) -> torch.Tensor:
-    """(knots, K) weights of linear interpolation between the knots, the ends held beyond them."""
+    """Work out the weights of linear interpolation between the knots; beyond the ends, their values are held.
+
+    Parameters
+    ----------
+    values : ndarray of float64, shape (K,)
+        Eigenvalues.
+    knots : int
+        Knots, evenly spaced in the logarithm from LOWEST to HIGHEST.
+
+    Returns
+    -------
+    Tensor of float32, shape (knots, K)
+        The weights.
+    """
     where = np.log(np.clip(values, LOWEST, HIGHEST) / LOWEST) / np.log(HIGHEST / LOWEST) * (knots - 1)
     weights = np.maximum(0.0, 1.0 - np.abs(where[None] - np.arange(knots)[:, None]))
     return torch.tensor(weights, dtype=torch.float32)
@@ -126,7 +164,19 @@ class _SharedLearner:
 
 @dataclass(frozen=True, eq=False)
 class SharedField(FieldModel):
-    """The shared numbers, at home in one body; ``on`` takes them to another."""
+    """The shared numbers in one body; ``on`` takes them to another.
+
+    Attributes
+    ----------
+    body : BodyGeometry
+        The body.
+    net : FieldWeights
+        The weights that the shared numbers give in it.
+    numbers : dict of str to ndarray
+        What all bodies share.
+    options : SharedOptions
+        Hyperparameters.
+    """
 
     kind: ClassVar[str] = "shared"
     options_type: ClassVar[type] = SharedOptions
@@ -148,6 +198,7 @@ class SharedField(FieldModel):
         seed: int = 0,
         run: Run | None = None,
     ) -> tuple[Self, dict[str, float]]:
+        """Learn from one body, see ``fit_many``."""
         return cls.fit_many([(body, samples)], options, seed, run)
 
     @classmethod
@@ -158,7 +209,29 @@ class SharedField(FieldModel):
         seed: int = 0,
         run: Run | None = None,
     ) -> tuple[Self, dict[str, float]]:
-        """Learn from all the bodies at once; the model returned is at home in the first."""
+        """Learn from several bodies at once; the model returned is of the first.
+
+        Parameters
+        ----------
+        bodies : sequence of tuple
+            Bodies and their samples, which say which interfaces broke.
+        options : SharedOptions, optional
+            Hyperparameters.
+        seed : int
+            Fixes the numbers to the bit on a CPU.
+        run : Run, optional
+            Progress, checkpoint and log.
+
+        Returns
+        -------
+        tuple
+            The model, and figures of the training.
+
+        Raises
+        ------
+        ModelError
+            Where samples do not say which interfaces broke, or the training diverges.
+        """
         options = options or SharedOptions()
         for body, samples in bodies:
             if not samples.broken.shape[1]:
@@ -171,7 +244,18 @@ class SharedField(FieldModel):
         return cls._build(bodies[0][0], {**numbers, "severity": np.array([severity], np.float32)}, options), figures
 
     def on(self, body: BodyGeometry) -> Self:
-        """The same model of another body."""
+        """Take the same model to another body.
+
+        Parameters
+        ----------
+        body : BodyGeometry
+            Any body.
+
+        Returns
+        -------
+        SharedField
+            The same numbers there.
+        """
         return self._build(body, self.numbers, self.options)
 
     @classmethod
@@ -179,18 +263,20 @@ class SharedField(FieldModel):
         shared = _SharedNet(len(options.radii), options.knots)
         shared.load_state_dict({n: torch.from_numpy(np.array(v)) for n, v in numbers.items() if n != "severity"})
         geometry = body.spectrum(options.eigenfunctions, options.radii)
-        net = blank(body, geometry, options)
+        net = blank(body, geometry)
         with torch.no_grad():
             for name, value in shared.numbers(hats(geometry.values, options.knots)).items():
                 getattr(net, name).copy_(value)
         return cls(body, frozen(net, body, geometry, float(numbers["severity"][0])), numbers, options)
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:
+        """Lay down the shared numbers."""
         options = self.options
         numbers = {"knots": options.knots, "eigenfunctions": options.eigenfunctions, "radii": list(options.radii)}
         return dict(self.numbers), numbers
 
     @classmethod
     def restore(cls, body: BodyGeometry, arrays: Mapping[str, npt.NDArray[Any]], numbers: Mapping[str, Any]) -> Self:
+        """Make the model again from its numbers, in any body."""
         options = SharedOptions(int(numbers["knots"]), int(numbers["eigenfunctions"]), tuple(numbers["radii"]))
         return cls._build(body, arrays, options)

@@ -1,4 +1,4 @@
-"""TODO learning.shuffle."""
+"""Random orders of very many rows, and seeds that follow from other seeds. The trainer uses both."""
 
 from __future__ import annotations
 
@@ -9,10 +9,32 @@ from ..common.arrays import IntArray
 
 
 def shuffled(start: int, stop: int, count: int, seed: int) -> IntArray:
-    """Places start to stop of a random order of ``count`` rows, without the rest of it: of points there may be
-    billions, and of their order a few are ever asked for.
+    """Work out a stretch of a random order of ``count`` rows, without the rest of it.
 
-    A Feistel network permutes the least power of 4 that holds ``count``; what falls beyond goes through it again.
+    Of training points there may be billions, and only a few places of their order are ever asked for. A Feistel network
+    (Luby and Rackoff 1988) permutes the least power of 4 that is at least ``count``; a row beyond ``count`` goes
+    through it again until it falls below.
+
+    Parameters
+    ----------
+    start, stop : int
+        The stretch.
+    count : int
+        Rows.
+    seed : int
+        Fixes the order.
+
+    Returns
+    -------
+    ndarray of int64, shape (stop - start,)
+        The rows at these places.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> order = np.concatenate([shuffled(0, 4, 10, 3), shuffled(4, 10, 10, 3)])
+    >>> np.sort(order)
+    array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9])
     """
     half = np.uint64(max(1, -(-(count - 1).bit_length() // 2)))
     mask = np.uint64((1 << int(half)) - 1)
@@ -32,4 +54,18 @@ def shuffled(start: int, stop: int, count: int, seed: int) -> IntArray:
 
 
 def derived_seed(seed: int, *key: int) -> int:
+    """Derive a seed from another one and a key.
+
+    Parameters
+    ----------
+    seed : int
+        The first seed.
+    *key : int
+        What the new seed is for.
+
+    Returns
+    -------
+    int
+        A seed below 2**63.
+    """
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1, np.uint64)[0] >> np.uint64(1))

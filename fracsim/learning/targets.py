@@ -1,4 +1,4 @@
-"""TODO learning.targets."""
+"""The loss of models that answer with whole fields, and the true fields to compare with. Models use both."""
 
 from __future__ import annotations
 
@@ -20,10 +20,26 @@ NEAR = 0.02  # of the largest extent: how far a crack's neighbourhood reaches, i
 
 
 def amae_loss(predicted: torch.Tensor, truth: torch.Tensor, filled: float = 0.0) -> torch.Tensor:
-    """The mean of |y - ŷ| / (1 + α|y|) (thesis, Eq. 4.5, α = 10).
+    """Work out the mean of |y - ŷ| / (1 + α|y|).
 
-    filled: how many times more an error counts that fills in a crack, where y is near 0 and ŷ above it: a crack with
-    a gap parts nothing, while one that is too wide still does.
+    Parameters
+    ----------
+    predicted : Tensor
+        ŷ, distances in units of the largest extent.
+    truth : Tensor
+        y, of the same shape.
+    filled : float
+        How many times more an error counts where a crack is filled in, that is where y is near 0 and ŷ above it. A
+        crack with a gap separates nothing, while a crack that is too wide still does.
+
+    Returns
+    -------
+    Tensor, shape ()
+        The loss.
+
+    References
+    ----------
+    Thesis, Eq. 4.5, with α = 10. ``filled`` is ours.
     """
     error = (predicted.float() - truth).abs() / (1.0 + ALPHA * truth)
     if filled:
@@ -32,7 +48,19 @@ def amae_loss(predicted: torch.Tensor, truth: torch.Tensor, filled: float = 0.0)
 
 
 class Targets:
-    """True fields, made as they are asked for: for each row the least distance to the interfaces that part pieces."""
+    """True fields, worked out when they are asked for: the least distance to the interfaces between two pieces.
+
+    Parameters
+    ----------
+    body : BodyGeometry
+        The body.
+    labels : ndarray of int64, shape (N, A)
+        The piece of each atom.
+    device : device
+        Where the fields are wanted.
+    nodes : bool
+        Whether edge midpoints can be asked for as well.
+    """
 
     def __init__(self, body: BodyGeometry, labels: IntArray, device: torch.device, nodes: bool = False) -> None:
         """labels: (N, A). nodes: whether edge midpoints can be asked for, too."""
@@ -45,7 +73,20 @@ class Targets:
         self.start = torch.as_tensor(np.cumsum(count) - count, device=device)
 
     def __call__(self, rows: torch.Tensor, columns: torch.Tensor | None = None) -> torch.Tensor:
-        """(B, K) the fields of rows (B,) at columns (B, K), or (B, V) at all of them."""
+        """Work out fields.
+
+        Parameters
+        ----------
+        rows : Tensor of int64, shape (B,)
+            Which fractures.
+        columns : Tensor of int64, shape (B, K), optional
+            At which vertices or nodes of each; at all of them by default.
+
+        Returns
+        -------
+        Tensor of float32, shape (B, K) or (B, V)
+            The fields.
+        """
         count = self.count[rows]
         owner = torch.repeat_interleave(count)  # (M,) which of the B each parted interface belongs to
         first = torch.cumsum(count, 0) - count

@@ -1,9 +1,6 @@
 """One trainer for every model that torch fits, on one device or, under torchrun, on several. Offline only.
 
-A model class in ``models`` has ``options_type``, a frozen dataclass, and
-``fit(body, samples, options, seed, run) -> (model, figures)``, which learns from ``samples.part(0)`` and watches
-``samples.part(1)``. One that uses this trainer wraps what it fits in a ``Learner`` and has a field
-``training: TrainingOptions`` among its options.
+A model wraps what it fits in a ``Learner`` and has a field ``training: TrainingOptions`` among its options.
 """
 
 from __future__ import annotations
@@ -11,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import signal
 import threading
 import time
@@ -23,7 +19,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ..common.errors import MissingExtraError, ModelError
-from ..common.files import header_of, write_beside
+from .checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from .devices import device_for, joined_processes, sum_gradients
 from .options import BUDGETS, OPTIMISERS, PRECISIONS, TrainingOptions
 from .shuffle import derived_seed, shuffled
 
@@ -33,18 +30,29 @@ try:
 except ImportError as error:
     raise MissingExtraError("torch", "train") from error
 
-FORMAT = 1
-WINDOW = 20  # steps that a logged loss is the mean of
+LOSS_WINDOW = 20  # steps that a logged loss is the mean of
+PROGRESS_INTERVAL = 0.2  # seconds between two reports of progress: more often than the eye follows costs time
 
 
 @dataclass(frozen=True)
 class Run:
     """What goes on around a training.
 
-    checkpoint: a file to keep all that is needed to go on, written at the end of every epoch, after ``every`` seconds,
-    and on Ctrl-C. resume: whether to go on from it where it is there. label: says what is trained, so that a
-    checkpoint of something else is not taken for it. log: a folder for TensorBoard. progress: called with the share
-    of the budget that is spent.
+    Attributes
+    ----------
+    checkpoint : Path or None
+        A file with all that is needed to go on. It is written at the end of every epoch, after ``every`` seconds, and
+        on Ctrl-C.
+    resume : bool
+        Whether to go on from the checkpoint where the file exists.
+    every : float
+        Seconds between two checkpoints.
+    label : str
+        What is trained, so that a checkpoint of something else is not taken for it.
+    log : Path or None
+        A folder for TensorBoard.
+    progress : callable
+        Called with the share of the budget that is spent, 0 to 1.
     """
 
     checkpoint: Path | None = None
@@ -56,70 +64,102 @@ class Run:
 
 
 class Learner(Protocol):
-    """What is fitted: ``count`` training rows, a loss on any of them, and a measure of success, less being better."""
+    """What the trainer fits: training rows, a loss on any of them, and an error on held-out samples."""
 
     @property
-    def module(self) -> torch.nn.Module: ...
+    def module(self) -> torch.nn.Module:
+        """The network."""
+        ...
 
     @property
-    def count(self) -> int: ...
+    def count(self) -> int:
+        """How many training rows it has."""
+        ...
 
     def groups(self, rate: float) -> list[dict[str, Any]]:
-        """Parameter groups for the optimiser, where need be with rates and decays of their own."""
+        """Group the parameters for the optimiser.
+
+        Parameters
+        ----------
+        rate : float
+            The learning rate; a group may have a multiple of it.
+
+        Returns
+        -------
+        list of dict
+            Parameter groups as torch's optimisers take them.
+        """
         ...
 
     def loss(self, rows: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-        """The mean loss over rows (B,) int64; whatever is drawn at random comes from the generator. Both are on the
-        CPU."""
+        """Work out the mean loss of a batch.
+
+        Parameters
+        ----------
+        rows : Tensor of int64, shape (B,)
+            Training rows, on the CPU.
+        generator : Generator
+            The source of whatever is drawn at random, on the CPU.
+
+        Returns
+        -------
+        Tensor, shape ()
+            The loss.
+        """
         ...
 
     def validate(self) -> float:
-        """On held-out samples; called in evaluation mode, without gradients."""
+        """Work out the error on held-out samples; less is better.
+
+        It is called in evaluation mode and without gradients.
+
+        Returns
+        -------
+        float
+            The error.
+        """
         ...
 
 
 def train(learner: Learner, options: TrainingOptions, seed: int, run: Run | None = None) -> dict[str, float]:
-    """Fit ``learner.module`` in place; returns figures of the training.
+    """Fit ``learner.module`` in place.
 
     On a CPU, a seed and a budget of epochs or steps fix the weights to the bit, whether or not the training was
-    interrupted and resumed between. Under torchrun every process takes a share of each batch and ends with the same
-    weights; only the first writes. Raises ModelError when the loss stops being finite or the checkpoint is of
-    another training.
+    interrupted and resumed. Under torchrun every process takes a share of each batch and ends with the same weights;
+    only the first writes files.
+
+    Parameters
+    ----------
+    learner : Learner
+        What is fitted.
+    options : TrainingOptions
+        How.
+    seed : int
+        At least 0.
+    run : Run, optional
+        Checkpoint, log and progress.
+
+    Returns
+    -------
+    dict of str to float
+        Figures of the training: rows, steps, epochs, seconds, processes, training_loss, validation, best_step.
+
+    Raises
+    ------
+    ModelError
+        Where the loss stops being finite, or the checkpoint is of another training.
     """
     run = run or Run()
     threads = torch.get_num_threads()
     torch.set_num_threads(options.threads)
     try:
-        with _interrupts_held(run.checkpoint is not None) as interrupted, _processes(device_for(options)) as place:
+        with (
+            _interrupts_held(run.checkpoint is not None) as interrupted,
+            joined_processes(device_for(options)) as place,
+        ):
             return _Training(learner, options, seed, run, place).go(interrupted)
     finally:
         torch.set_num_threads(threads)
-
-
-def device_for(options: TrainingOptions) -> torch.device:
-    """The device that training is on; under torchrun, the process's own."""
-    name = options.device
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise ModelError(f"unknown device {name!r}; use auto, cpu, cuda or cuda:N") from error
-    if device.type == "cuda":
-        if not torch.cuda.is_available():
-            raise ModelError(f"device {name!r}: torch sees no CUDA device here; use cpu")
-        if device.index is None:
-            device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
-        if device.index >= torch.cuda.device_count():
-            raise ModelError(f"device {device}: there are only {torch.cuda.device_count()}")
-    elif options.precision in ("bf16", "fp16"):
-        raise ModelError(f"precision {options.precision} is for CUDA devices; on {name} use auto or fp32")
-    return device
-
-
-def rank() -> int:
-    """Of this process among those that torchrun started; 0 without it."""
-    return int(os.environ.get("RANK", 0))
 
 
 class _Training:
@@ -168,7 +208,7 @@ class _Training:
                 ends = place * self.batch, min((place + 1) * self.batch, self.learner.count)
                 self._step(torch.from_numpy(shuffled(*ends, self.learner.count, derived_seed(self.seed, 0, epoch))))
                 now = time.monotonic()
-                if self.step % WINDOW == 0:
+                if self.step % LOSS_WINDOW == 0:
                     self._check_loss()
                     log("training/loss", self.loss, self.step)
                     log("training/rate", self.optimiser.param_groups[0]["lr"], self.step)
@@ -183,7 +223,7 @@ class _Training:
                     saved = time.monotonic()
                 if interrupted:
                     raise KeyboardInterrupt
-                if self.rank == 0 and now - shown > 0.2:
+                if self.rank == 0 and now - shown > PROGRESS_INTERVAL:
                     run.progress(min(1.0, self._share()))
                     shown = now
             self._check_loss()
@@ -223,17 +263,10 @@ class _Training:
             self.sum += loss.detach()
             self.summed += 1
         if self.world > 1:
-            self._sum_gradients()
+            sum_gradients(self.module)
         self.scaler.step(self.optimiser)
         self.scaler.update()
         self.step += 1
-
-    def _sum_gradients(self) -> None:
-        parameters = [p for p in self.module.parameters() if p.requires_grad]
-        flat = torch.cat([(torch.zeros_like(p) if p.grad is None else p.grad).flatten() for p in parameters])
-        dist.all_reduce(flat)
-        for parameter, part in zip(parameters, torch.split(flat, [p.numel() for p in parameters]), strict=True):
-            parameter.grad = part.view_as(parameter)
 
     def _validate(self, log: Callable[[str, float, int], None]) -> None:
         value = torch.zeros(1, dtype=torch.float64, device=self.device)
@@ -263,7 +296,7 @@ class _Training:
         return done
 
     def _share(self) -> float:
-        """Of the budget, spent; may exceed 1."""
+        """Share of the budget that is spent; it may exceed 1."""
         by_steps = self.step / self.last if self.last is not None else 0.0
         return max(by_steps, self._seconds() / self.options.seconds if self.options.seconds is not None else 0.0)
 
@@ -271,7 +304,7 @@ class _Training:
         return self.before + time.monotonic() - self.begin
 
     def _check_loss(self) -> None:
-        """Takes the mean of the losses since the last call. A checkpoint or a model of what is not finite is none."""
+        """Take the mean of the losses since the last call; what is not finite must not be kept."""
         if self.summed:
             self.loss = float(self.sum) / self.summed
             self.sum.zero_()
@@ -288,7 +321,7 @@ class _Training:
         return chosen
 
     def _identity(self) -> str:
-        """Of what is trained and how, but for how long and where."""
+        """Mark what is trained and how, except for how long and where."""
         free = {*BUDGETS, "validate", "patience", "device", "threads"}
         how = {name: value for name, value in asdict(self.options).items() if name not in free}
         shapes = [(name, list(value.shape)) for name, value in self.module.state_dict().items()]
@@ -301,79 +334,39 @@ class _Training:
                 dist.broadcast(value, 0)
 
     def _save(self, path: Path) -> None:
-        from safetensors.torch import save
-
         if self.rank:
             return
-        tensors = {f"weights.{name}": value for name, value in self.module.state_dict().items()}
-        tensors |= {f"best.{name}": value for name, value in self.best_weights.items()}
-        for index, state in self.optimiser.state_dict()["state"].items():
-            tensors |= {f"optimiser.{index}.{name}": value for name, value in state.items()}
-        header = {
-            "format": FORMAT,
-            "identity": self.identity,
-            "step": self.step,
-            "seconds": self._seconds(),
-            "best": [self.best, self.best_step, self.stale],
-            "validation": [self.validation, self.validated],
-            "loss": self.loss,
-            "scaler": self.scaler.state_dict(),
-        }
-        packed = {name: value.detach().contiguous() for name, value in tensors.items()}
-        write_beside(path, save(packed, metadata={"fracsim_checkpoint": json.dumps(header)}))
+        checkpoint = Checkpoint(
+            self.module.state_dict(),
+            self.best_weights,
+            self.optimiser.state_dict()["state"],
+            self.step,
+            self._seconds(),
+            (self.best, self.best_step, self.stale),
+            (self.validation, self.validated),
+            self.loss,
+            self.scaler.state_dict(),
+        )
+        save_checkpoint(path, self.identity, checkpoint)
 
     def _load(self, path: Path) -> None:
-        from safetensors import SafetensorError
-        from safetensors.torch import load
-
-        data = path.read_bytes()
-        try:
-            tensors = load(data)
-            header = header_of(data, "fracsim_checkpoint")
-        except (SafetensorError, KeyError, ValueError, TypeError) as error:
-            raise ModelError(f"{path}: not a checkpoint of fracsim; name another file or remove it") from error
-        if header.get("format") != FORMAT or header.get("identity") != self.identity:
-            raise ModelError(
-                f"{path}: the checkpoint of another training (its data, options or seed differ); "
-                "name another file, or remove it to begin anew"
-            )
-
-        def part(prefix: str) -> dict[str, torch.Tensor]:
-            return {name[len(prefix) :]: value for name, value in tensors.items() if name.startswith(prefix)}
-
-        self.module.load_state_dict(part("weights."))
-        self.best_weights = {name: value.to(self.device) for name, value in part("best.").items()}
-        state: dict[int, dict[str, torch.Tensor]] = {}
-        for name, value in part("optimiser.").items():
-            index, key = name.split(".", 1)
-            state.setdefault(int(index), {})[key] = value
-        self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": state})
-        self.step, self.before = int(header["step"]), float(header["seconds"])
-        self.best, self.best_step, self.stale = header["best"]
-        (self.validation, self.validated), self.loss = header["validation"], header["loss"]
-        if header["scaler"]:
-            self.scaler.load_state_dict(header["scaler"])
-
-
-@contextmanager
-def _processes(device: torch.device) -> Iterator[tuple[int, int]]:
-    """(rank, number of processes), joined with those that torchrun started."""
-    world = int(os.environ.get("WORLD_SIZE", 1))
-    if world == 1:
-        yield 0, 1
-        return
-    if device.type == "cuda":
-        torch.cuda.set_device(device)
-    dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
-    yield dist.get_rank(), world
-    dist.barrier()  # whoever is done first must not hang up on the others
-    dist.destroy_process_group()
+        checkpoint = load_checkpoint(path, self.identity)
+        self.module.load_state_dict(checkpoint.weights)
+        self.best_weights = {name: value.to(self.device) for name, value in checkpoint.best_weights.items()}
+        self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": checkpoint.optimiser})
+        self.step, self.before = checkpoint.step, checkpoint.seconds
+        self.best, self.best_step, self.stale = checkpoint.best
+        (self.validation, self.validated), self.loss = checkpoint.validation, checkpoint.loss
+        if checkpoint.scaler:
+            self.scaler.load_state_dict(checkpoint.scaler)
 
 
 @contextmanager
 def _interrupts_held(wanted: bool) -> Iterator[list[int]]:
-    """Ctrl-C is only noted, for it may come in the middle of a step, whose weights are worth nothing; a second one
-    is raised at once."""
+    """Note Ctrl-C instead of raising it: in the middle of a step weights are half changed.
+
+    A second Ctrl-C is raised at once.
+    """
     noted: list[int] = []
     if not wanted or threading.current_thread() is not threading.main_thread():
         yield noted

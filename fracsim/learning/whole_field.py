@@ -1,4 +1,7 @@
-"""TODO learning.whole_field."""
+"""What the networks of whole fields share: how they are begun, and how an impulse is put to them.
+
+``mlp`` and ``deltaconv`` use it, and ``nearest`` compares impulses by ``resultant``.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from ..geometry.sampling import SurfacePoints
 from ..simulators.base import Impacts
 from ..solids.surface import Surface
 from .body import BodyGeometry
-from .trainer import device_for
+from .devices import device_for
 
 try:
     import torch
@@ -31,8 +34,33 @@ VALIDATION_IMPULSES = 200  # whose fields are compared while the perceptron trai
 def start_network(
     body: BodyGeometry, samples: Samples, options: Any, seed: int
 ) -> tuple[torch.device, tuple[Samples, Samples], ImpulseInputs]:
-    """How fitting a network of whole fields begins: the device, training and validation samples, and the inputs that
-    the former call for. Seeds torch."""
+    """Begin to fit a network of whole fields; seeds torch.
+
+    Parameters
+    ----------
+    body : BodyGeometry
+        The body.
+    samples : Samples
+        With a training and a validation split.
+    options : MLPOptions or DeltaConvOptions
+        Hyperparameters.
+    seed : int
+        Of torch.
+
+    Returns
+    -------
+    device : device
+        Of the training.
+    splits : tuple of Samples
+        Training and validation.
+    inputs : ImpulseInputs
+        As the training samples call for.
+
+    Raises
+    ------
+    ModelError
+        Where a split is empty.
+    """
     torch.manual_seed(seed)
     splits = samples.of_split(0), samples.of_split(1)
     for split, name in zip(splits, ("training", "validation"), strict=True):
@@ -42,7 +70,20 @@ def start_network(
 
 
 def check_sizes(options: Any, names: tuple[str, ...]) -> None:
-    """What the options of torch models have in common: whole numbers of at least 1, and ``filled``."""
+    """Check what the options of both networks have in common: whole numbers of at least 1, and ``filled``.
+
+    Parameters
+    ----------
+    options : MLPOptions or DeltaConvOptions
+        Hyperparameters.
+    names : tuple of str
+        Which of them are whole numbers.
+
+    Raises
+    ------
+    ModelError
+        Where one is out of range.
+    """
     for name in names:
         value = getattr(options, name)
         if not (isinstance(value, int) and value >= 1):
@@ -53,9 +94,20 @@ def check_sizes(options: Any, names: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True)
 class ImpulseInputs:
-    """Impacts as network inputs: mean position (3), resultant direction (3) and, unless the thesis's own are wanted,
-    the logarithm of the total severity, which is brought to mean 0 and deviation 1 over the training impulses, and
-    clamped to their range."""
+    """How impacts are put to a network: mean position (3), resultant direction (3) and, if wanted, the total severity.
+
+    The logarithm of the severity is clamped to the range of the training impulses, and brought to their mean 0 and
+    deviation 1. The thesis's own models have no severity.
+
+    Attributes
+    ----------
+    severity : bool
+        Whether severity is an input.
+    mean, deviation : float
+        Of its logarithm over the training impulses.
+    low, high : float
+        Its range there.
+    """
 
     severity: bool
     mean: float = 0.0
@@ -65,6 +117,22 @@ class ImpulseInputs:
 
     @classmethod
     def of(cls, body: BodyGeometry, samples: Samples, severity: bool) -> Self:
+        """Measure training impulses.
+
+        Parameters
+        ----------
+        body : BodyGeometry
+            The body.
+        samples : Samples
+            The training split.
+        severity : bool
+            Whether severity is an input.
+
+        Returns
+        -------
+        ImpulseInputs
+            The inputs.
+        """
         if not severity:
             return cls(False)
         log = resultant(samples.impacts, body.surface)[:, 6]
@@ -72,16 +140,31 @@ class ImpulseInputs:
 
     @property
     def count(self) -> int:
+        """How many numbers an impulse is, 6 or 7."""
         return 7 if self.severity else 6
 
     def __call__(self, body: BodyGeometry, impacts: Impacts) -> Float32Array:
-        """(N, 6 or 7)"""
+        """Put impacts as numbers, (N, 6 or 7)."""
         whole = resultant(impacts, body.surface)
         whole[:, 6] = (np.clip(whole[:, 6], self.low, self.high) - self.mean) / self.deviation
         return whole[:, : self.count].astype(np.float32)
 
 
 def load_weights(net: torch.nn.Module, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Put a file's weights into a network, and the network into evaluation mode.
+
+    Parameters
+    ----------
+    net : Module
+        The network.
+    arrays : mapping of str to ndarray
+        The weights by name.
+
+    Raises
+    ------
+    ModelError
+        Where names or shapes differ.
+    """
     try:
         net.load_state_dict({name: torch.from_numpy(value.copy()) for name, value in arrays.items()})
     except RuntimeError as error:
@@ -90,8 +173,26 @@ def load_weights(net: torch.nn.Module, arrays: Mapping[str, npt.NDArray[Any]]) -
 
 
 def resultant(impacts: Impacts, surface: Surface) -> FloatArray:
-    """(N, 7) what an impact is as a whole: the mean of its contacts' positions and of their directions, weighted by
-    severity, and the logarithm of the total severity."""
+    """Describe each impact as a whole.
+
+    Parameters
+    ----------
+    impacts : Impacts
+        N impacts.
+    surface : Surface
+        The body's.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, 7)
+        The mean position and the mean direction of the contacts, weighted by severity, and the logarithm of the total
+        severity.
+
+    Raises
+    ------
+    ModelError
+        Where an impact has no severity.
+    """
     total = impacts.severities.sum(axis=1)
     if not (total > 0).all():
         raise ModelError(f"impact {int(np.argmin(total > 0))} has no severity; ask only about impacts that hit")

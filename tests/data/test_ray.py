@@ -19,7 +19,7 @@ def test_a_cluster_of_three_nodes_loses_nothing_when_one_is_killed():
     from ray.cluster_utils import Cluster
 
     def slow_block(simulator, seed, block):  # defined in here, so that ray sends it by value
-        """A block that takes as long as an expensive truth would, and says on which node it was made."""
+        """A block that takes as long as an expensive simulator would, and says on which node it was made."""
         time.sleep(0.3)
         return sample_block(simulator, seed, block), ray.get_runtime_context().get_node_id()
 

@@ -18,7 +18,8 @@ from fracsim.fracture.predictor import field_from_scores, minimax_scores
 from fracsim.fracture.rule import components
 from fracsim.learning.atoms import atoms_for
 from fracsim.learning.body import BodyGeometry
-from fracsim.learning.field import ContactPatches, FieldLearner, FieldModel, FieldOptions, frozen
+from fracsim.learning.field import FieldLearner, FieldModel, FieldOptions
+from fracsim.learning.field_network import ContactPatches, frozen
 from fracsim.learning.interfaces import InterfaceModel, InterfaceOptions
 from fracsim.learning.model import load_model, save_model
 from fracsim.learning.nearest import Nearest, NearestOptions
@@ -85,7 +86,7 @@ def test_numpy_runs_what_torch_trained(torus, response):
     assert np.allclose(model.break_scores(some.impacts), torch.sigmoid(logits).numpy(), atol=2e-4)
 
 
-def test_contacts_have_no_order_and_half_a_blow_twice_is_the_impact(fitted, torus):
+def test_contacts_have_no_order_and_half_an_impact_twice_is_the_impact(fitted, torus):
     model, (_, samples, _) = fitted[0], torus
     several = samples.take(samples.kind == 1).take(slice(20)).impacts
     order = np.random.default_rng(0).permutation(several.faces.shape[1])
@@ -97,7 +98,7 @@ def test_contacts_have_no_order_and_half_a_blow_twice_is_the_impact(fitted, toru
     assert np.allclose(model.break_scores(single), model.break_scores(halves), atol=1e-4)
 
 
-def test_it_learns_more_than_the_nearest_impulse_tells(fitted, torus):
+def test_it_learns_more_than_the_nearest_impulse_says(fitted, torus):
     model, (body, samples, simulator) = fitted[0], torus
     test = samples.of_split(2)
     test = test.take(test.labels.any(axis=1))
@@ -107,9 +108,11 @@ def test_it_learns_more_than_the_nearest_impulse_tells(fitted, torus):
         return np.mean([ari(a, b) for a, b in zip(test.labels[:, owner], labels[:, owner], strict=True)])
 
     nearest, _ = Nearest.fit(body, samples, NearestOptions(), 0)
-    assert score(model.predict_labels(test.impacts)) > score(nearest.predict_labels(test.impacts)) + 0.05
+    # Measured: 0.96; 0.74 by the nearest impulse; 0.82 untrained, for the prior alone says much.
+    assert score(model.predict_labels(test.impacts)) > 0.92
+    assert score(nearest.predict_labels(test.impacts)) < 0.8
     assert score(PrecomputedModel.of(body, simulator).predict_labels(test.impacts)) == 1.0
-    assert fitted[1]["validation_ari"] > 0.85
+    assert fitted[1]["validation_ari"] > 0.92
 
 
 def test_a_model_without_presumptions_reads_its_field_off_its_labels(torus):
@@ -118,7 +121,11 @@ def test_a_model_without_presumptions_reads_its_field_off_its_labels(torus):
     model, _ = InterfaceModel.fit(body, samples, options)
     impacts = samples.of_split(2).take(slice(50)).impacts
     labels = model.predict_labels(impacts)
-    assert labels.any()
+    test = samples.of_split(2)
+    test = test.take(test.labels.any(axis=1))
+    pairs = zip(test.labels, model.predict_labels(test.impacts), strict=True)
+    scores = [ari(a[body.vertex_atom], b[body.vertex_atom]) for a, b in pairs]
+    assert np.mean(scores) > 0.55  # measured: 0.72, and 0.24 untrained
     assert np.array_equal(model.predict(impacts), body.fields(labels))
     assert np.array_equal(model.predict_nodes(impacts)[:, : len(body.vertices)], model.predict(impacts))
 
@@ -136,7 +143,8 @@ def test_one_model_of_two_bodies_is_some_use_on_a_third_that_it_never_saw(torus)
     test = test.take(test.labels.any(axis=1))
     labels = model.on(body).predict_labels(test.impacts)[:, body.vertex_atom]
     truth = test.labels[:, body.vertex_atom]
-    assert np.mean([ari(a, b) for a, b in zip(truth, labels, strict=True)]) > 0.85
+    # Measured: 0.91, and 0.79 untrained.
+    assert np.mean([ari(a, b) for a, b in zip(truth, labels, strict=True)]) > 0.87
 
 
 def test_models_come_back_from_their_files_as_they_were_and_only_to_their_body(fitted, torus, tmp_path):
@@ -145,12 +153,12 @@ def test_models_come_back_from_their_files_as_they_were_and_only_to_their_body(f
     shared, _ = SharedField.fit(
         body, samples, SharedOptions(eigenfunctions=12, training=TrainingOptions(steps=5, batch=64))
     )
-    for one in (model, shared):
-        path = tmp_path / f"{one.kind}.safetensors"
-        save_model(one, path, {"told": 1})
+    for saved in (model, shared):
+        path = tmp_path / f"{saved.kind}.safetensors"
+        save_model(saved, path, {"seed": 1})
         again, metadata = load_model(path, body)
-        assert metadata == {"told": 1}
-        assert np.array_equal(again.predict(impacts), one.predict(impacts))
+        assert metadata == {"seed": 1}
+        assert np.array_equal(again.predict(impacts), saved.predict(impacts))
     finer = BodyGeometry.of(split_faces(body.surface), body.atoms)
     with pytest.raises(ModelError, match=r"field\.safetensors: .* another body"):
         load_model(tmp_path / "field.safetensors", finer)

@@ -15,17 +15,8 @@ from fracsim.common.errors import ModelError
 from fracsim.data.dataset import Dataset
 from fracsim.learning import model_class
 from fracsim.learning.body import BodyGeometry
-from fracsim.learning.deltaconv import (
-    Calculus,
-    DeltaConv,
-    DeltaConvOptions,
-    DeltaNet,
-    Operators,
-    VectorLayers,
-    calculus,
-    tangent_frames,
-    turned,
-)
+from fracsim.learning.calculus import Calculus, Operators, calculus, rotated, tangent_frames
+from fracsim.learning.deltaconv import DeltaConv, DeltaConvOptions, DeltaNet, VectorLayers
 from fracsim.learning.mlp import MLP, MLPOptions, PointLearner
 from fracsim.learning.model import load_model, save_model
 from fracsim.learning.nearest import Nearest, NearestOptions
@@ -39,7 +30,7 @@ CPU = torch.device("cpu")
 
 
 @pytest.fixture(scope="module")
-def told(torus_dataset):
+def torus(torus_dataset):
     with Dataset(torus_dataset) as dataset:
         return BodyGeometry.read(dataset)
 
@@ -54,16 +45,16 @@ SMALL = {
 
 
 @pytest.fixture(scope="module")
-def fitted(told):
-    return {kind: model_class(kind).fit(*told, options, 0)[0] for kind, options in SMALL.items()}
+def fitted(torus):
+    return {kind: model_class(kind).fit(*torus, options, 0)[0] for kind, options in SMALL.items()}
 
 
 # All of them
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_a_model_beats_the_answer_that_nothing_breaks(told, fitted, kind):
-    body, samples = told
+def test_a_model_learns_more_than_the_mean_field(torus, fitted, kind):
+    body, samples = torus
     held_out = samples.of_split(2)
     truth = body.fields(held_out.labels)
     guess = fitted[kind].predict(held_out.impacts)
@@ -71,12 +62,14 @@ def test_a_model_beats_the_answer_that_nothing_breaks(told, fitted, kind):
     assert guess.dtype == np.float32
     assert guess.min() >= 0
     assert guess.max() <= np.float32(CAP)
-    assert amae(truth, guess) < 0.75 * amae(truth, np.full_like(truth, CAP))
+    # Measured, as shares of the error without any crack: mlp 0.36, deltaconv 0.49, nearest 0.17. The mean of the
+    # training fields has 0.83; untrained, mlp has 0.93 and deltaconv 1.00.
+    assert amae(truth, guess) < 0.65 * amae(truth, np.full_like(truth, CAP))
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_a_model_answers_the_same_after_a_file(told, fitted, kind, tmp_path):
-    body, samples = told
+def test_a_model_answers_the_same_after_a_file(torus, fitted, kind, tmp_path):
+    body, samples = torus
     save_model(fitted[kind], tmp_path / "m.safetensors", {"seed": 0})
     again, metadata = load_model(tmp_path / "m.safetensors", body)
     impacts = samples.take(slice(20)).impacts
@@ -85,8 +78,8 @@ def test_a_model_answers_the_same_after_a_file(told, fitted, kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["deltaconv", "nearest"])
-def test_a_model_of_another_body_is_refused(told, fitted, kind, tmp_path, slab_mesh):
-    body, _ = told
+def test_a_model_of_another_body_is_refused(torus, fitted, kind, tmp_path, slab_mesh):
+    body, _ = torus
     save_model(fitted[kind], tmp_path / "m.safetensors")
     parts = replace(body.atoms, solid=replace(body.atoms.solid, volumes=body.volumes[1:]))
     other = replace(body, surface=read_surface(slab_mesh), atoms=parts)
@@ -111,8 +104,8 @@ def test_bad_options_are_refused(make, fault):
 
 
 @pytest.mark.parametrize("kind", SMALL)
-def test_samples_without_a_training_part_are_refused(told, kind):
-    body, samples = told
+def test_samples_without_a_training_part_are_refused(torus, kind):
+    body, samples = torus
     with pytest.raises(ModelError, match="make more"):
         model_class(kind).fit(body, samples.of_split(2), SMALL[kind], 0)
 
@@ -120,8 +113,8 @@ def test_samples_without_a_training_part_are_refused(told, kind):
 # Inputs
 
 
-def test_contacts_count_by_their_share_of_the_severity(told):
-    body, samples = told
+def test_contacts_count_by_their_share_of_the_severity(torus):
+    body, samples = torus
     several = samples.take(np.flatnonzero((samples.severities > 0).sum(axis=1) > 1))
     whole = resultant(several.impacts, body.surface)
     k = 0
@@ -136,8 +129,8 @@ def test_contacts_count_by_their_share_of_the_severity(told):
         resultant(several.impacts.times(np.zeros(len(several))), body.surface)
 
 
-def test_severity_is_clamped_to_what_was_seen_and_absent_from_the_thesis_inputs(told):
-    body, samples = told
+def test_severity_is_clamped_to_what_was_seen_and_absent_from_the_thesis_inputs(torus):
+    body, samples = torus
     one = samples.take(slice(5)).impacts
     inputs = ImpulseInputs.of(body, samples, True)
     far, farther = (inputs(body, one.times(np.full(5, factor))) for factor in (1e6, 1e9))
@@ -151,8 +144,8 @@ def test_severity_is_clamped_to_what_was_seen_and_absent_from_the_thesis_inputs(
 # The perceptron
 
 
-def test_the_perceptron_answers_at_edge_midpoints_and_on_a_finer_mesh(told, fitted):
-    body, samples = told
+def test_the_perceptron_answers_at_edge_midpoints_and_on_a_finer_mesh(torus, fitted):
+    body, samples = torus
     impacts = samples.take(slice(7)).impacts
     model = fitted["mlp"]
     nodes = model.predict_nodes(impacts)
@@ -165,8 +158,8 @@ def test_the_perceptron_answers_at_edge_midpoints_and_on_a_finer_mesh(told, fitt
     np.testing.assert_allclose(model.on(Finer()).predict(impacts), nodes, atol=1e-6)
 
 
-def test_surface_points_are_uniform_and_read_linear_fields_exactly(told):
-    body, samples = told
+def test_surface_points_are_uniform_and_read_linear_fields_exactly(torus):
+    body, samples = torus
     options = replace(SMALL["mlp"], points="surface")
     model = MLP(body, torch.nn.Linear(1, 1), ImpulseInputs.of(body, samples, True), options)
     points = PointLearner(model, samples.of_split(0), samples.of_split(1), CPU)
@@ -186,18 +179,18 @@ def test_surface_points_are_uniform_and_read_linear_fields_exactly(told):
     assert float(middle) == pytest.approx(0.25, abs=0.01)
 
 
-def test_training_anywhere_on_the_surface_learns_as_well(told):
-    body, samples = told
+def test_training_anywhere_on_the_surface_learns_as_well(torus):
+    body, samples = torus
     model, figures = MLP.fit(body, samples, replace(SMALL["mlp"], points="surface"), 0)
     held_out = samples.of_split(2)
     truth = body.fields(held_out.labels)
-    assert amae(truth, model.predict(held_out.impacts)) < 0.75 * amae(truth, np.full_like(truth, CAP))
+    assert amae(truth, model.predict(held_out.impacts)) < 0.5 * amae(truth, np.full_like(truth, CAP))  # measured: 0.36
     assert figures["rows"] == len(samples.of_split(0)) * len(body.vertices)
 
 
-def test_the_same_seed_gives_the_same_perceptron(told):
+def test_the_same_seed_gives_the_same_perceptron(torus):
     options = replace(SMALL["mlp"], training=replace(SMALL["mlp"].training, steps=5))
-    one, again, other = (MLP.fit(*told, options, seed)[0].state()[0] for seed in (0, 0, 1))
+    one, again, other = (MLP.fit(*torus, options, seed)[0].state()[0] for seed in (0, 0, 1))
     assert all((one[name] == again[name]).all() for name in one)
     assert any((one[name] != other[name]).any() for name in one)
 
@@ -303,11 +296,11 @@ def test_vector_layers_turn_with_the_vectors():
     torch.manual_seed(0)
     layer = VectorLayers(4, 6, 6).eval()
     u = torch.randn(50, 2, 3, 4)
-    np.testing.assert_allclose(layer(turned(u)).detach(), turned(layer(u)).detach(), atol=1e-5)
+    np.testing.assert_allclose(layer(rotated(u)).detach(), rotated(layer(u)).detach(), atol=1e-5)
 
 
-def test_the_choice_of_tangent_frames_makes_no_difference(told):
-    body, samples = told
+def test_the_choice_of_tangent_frames_makes_no_difference(torus):
+    body, samples = torus
     torch.manual_seed(0)
     options = SMALL["deltaconv"]
     inputs = ImpulseInputs.of(body, samples, True)
@@ -325,8 +318,8 @@ def test_the_choice_of_tangent_frames_makes_no_difference(told):
         np.testing.assert_allclose(other, one, atol=1e-4)
 
 
-def test_more_neighbours_than_vertices_are_refused(told):
-    body, samples = told
+def test_more_neighbours_than_vertices_are_refused(torus):
+    body, samples = torus
     with pytest.raises(ModelError, match="neighbours must be below the number of vertices"):
         DeltaConv.fit(body, samples, DeltaConvOptions(neighbours=10**6), 0)
 
@@ -334,8 +327,8 @@ def test_more_neighbours_than_vertices_are_refused(told):
 # Nearest
 
 
-def test_a_training_impulse_gets_its_own_fracture(told, fitted):
-    body, samples = told
+def test_a_training_impulse_gets_its_own_fracture(torus, fitted):
+    body, samples = torus
     train = samples.of_split(0)
     model = fitted["nearest"]
     np.testing.assert_array_equal(model.predict_labels(train.impacts), train.labels)
@@ -343,8 +336,8 @@ def test_a_training_impulse_gets_its_own_fracture(told, fitted):
     np.testing.assert_array_equal(model.predict_nodes(train.impacts), body.fields(train.labels, nodes=True))
 
 
-def test_its_weights_are_the_best_of_the_grid_on_validation_impulses(told, fitted):
-    body, samples = told
+def test_its_weights_are_the_best_of_the_grid_on_validation_impulses(torus, fitted):
+    body, samples = torus
     judges = samples.of_split(1).take(np.flatnonzero(samples.of_split(1).labels.any(axis=1))[:300])
 
     def score(model):
@@ -355,8 +348,8 @@ def test_its_weights_are_the_best_of_the_grid_on_validation_impulses(told, fitte
     assert score(fitted["nearest"]) == max(score(model) for model in fixed)
 
 
-def test_its_file_is_compact(told, fitted):
-    _, samples = told
+def test_its_file_is_compact(torus, fitted):
+    _, samples = torus
     arrays, _ = fitted["nearest"].state()
     assert arrays["fractures"].dtype == np.uint8
     assert len(arrays["fractures"]) < len(samples.of_split(0)) == len(arrays["keys"])

@@ -16,7 +16,7 @@ from fracsim import learning
 from fracsim.cli.main import main
 from fracsim.data.dataset import Dataset
 from fracsim.learning.body import BodyGeometry
-from fracsim.learning.model import Model, load_model
+from fracsim.learning.model import Model, load_model, save_model
 from fracsim.learning.options import training_of
 from fracsim.learning.search import Range
 
@@ -71,6 +71,23 @@ def test_a_registered_model_is_trained_saved_and_read(registered, torus_dataset,
     expected = 0.5 * body.fields(samples.of_split(0).labels).mean(axis=0)
     np.testing.assert_allclose(model.predict(samples.take(slice(2)).impacts), [expected, expected], rtol=1e-6)
     assert json.loads((tmp_path / "m.json").read_text())["training"] == {"factor": 0.5}
+
+
+def test_a_fault_in_a_models_own_code_is_not_called_a_damaged_file(registered, torus_dataset, tmp_path, monkeypatch):
+    with Dataset(torus_dataset) as dataset:
+        body, samples = BodyGeometry.read(dataset)
+    path = tmp_path / "m.safetensors"
+    save_model(MeanField.fit(body, samples, MeanOptions(), 0)[0], path)
+
+    def slip(cls, body, arrays, numbers):
+        raise TypeError("a slip")
+
+    monkeypatch.setattr(MeanField, "restore", classmethod(slip))
+    with pytest.raises(TypeError, match="a slip"):
+        load_model(path, body)
+    monkeypatch.setattr(MeanField, "restore", classmethod(lambda cls, body, arrays, numbers: numbers["factor"]))
+    with pytest.raises(fracsim.ModelError, match=r"m\.safetensors: .*there is no entry 'factor'"):
+        load_model(path, body)
 
 
 def test_a_registered_model_is_tuned_in_its_own_search_space(registered, torus_dataset, tmp_path):

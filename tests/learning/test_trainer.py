@@ -213,7 +213,8 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from safetensors.numpy import save_file
 from test_trainer import Line, OPTIONS
-from fracsim.learning.trainer import Run, rank, train
+from fracsim.learning.devices import rank
+from fracsim.learning.trainer import Run, train
 line = Line(dropout=0.0, noise=0.0)
 line.module[1] = __import__("torch").nn.Identity()  # whose statistics would be of a share of the batch
 figures = train(line, OPTIONS, 3, Run(__import__("pathlib").Path(sys.argv[2], "c.safetensors")))
