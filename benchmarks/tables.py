@@ -1,4 +1,7 @@
-"""Copy the tables of benchmarks/results into the pages that name them: ``python benchmarks/tables.py``."""
+"""Copy the tables of benchmarks/results into the pages that name them: ``python benchmarks/tables.py``.
+
+A block of a page begins with ``<!-- results/NAME.md -->`` and ends with ``<!-- end -->``; the text between is replaced.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,24 @@ BLOCK = re.compile(r"(<!-- results/(\w+)\.md -->\n).*?(<!-- end -->)", re.DOTALL
 
 
 def filled(page: str) -> str:
-    """The page with every block holding what its results file says now."""
+    """Replace the blocks of a page by what their results files hold now.
 
-    def table(match: re.Match[str]) -> str:
+    Parameters
+    ----------
+    page : str
+        The text of a page.
+
+    Returns
+    -------
+    str
+        The same text with the blocks replaced.
+    """
+
+    def block_of(match: re.Match[str]) -> str:
         text = (HERE / "results" / f"{match[2]}.md").read_text(encoding="utf-8").strip()
         return f"{match[1]}\n{text}\n\n{match[3]}"
 
-    return BLOCK.sub(table, page)
+    return BLOCK.sub(block_of, page)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import importlib
 import importlib.util
+import json
 import re
 import shlex
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import fracsim
 from fracsim.cli.imports import split_imports
 from fracsim.cli.main import build_parser
 
@@ -37,12 +39,17 @@ def name_of(block):
     return f"{block[0].name}:{block[1]}" if isinstance(block, tuple) else ""
 
 
-@pytest.fixture(scope="module")
-def tables():
-    spec = importlib.util.spec_from_file_location("tables", ROOT / "benchmarks" / "tables.py")
+def script(name):
+    """A script of benchmarks/, as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def tables():
+    return script("tables")
 
 
 @pytest.mark.parametrize(("name", "count"), [("README", 1), ("simulators", 7), ("results", 13), ("runtime", 6)])
@@ -50,6 +57,14 @@ def test_a_page_holds_the_tables_that_the_benchmarks_wrote(name, count, tables):
     page = next(page for page in tables.PAGES if page.stem == name).read_text(encoding="utf-8")
     assert len(tables.BLOCK.findall(page)) == count
     assert tables.filled(page) == page
+
+
+def test_the_readme_and_the_results_hold_what_the_shipped_assets_say_of_themselves():
+    shipped = script("shipped")
+    assets = {name: fracsim.load(name).metadata for name in shipped.NAMES}
+    assert shipped.table(assets) in (ROOT / "README.md").read_text(encoding="utf-8")
+    results = json.loads((ROOT / "benchmarks" / "results" / "shipped.json").read_text(encoding="utf-8"))
+    assert results["assets"] == assets
 
 
 def test_every_picture_and_file_that_the_pages_point_to_is_there():

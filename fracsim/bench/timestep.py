@@ -64,8 +64,6 @@ class Fall:
     ----------
     world : World
         The world that it falls in.
-    asset : BreakableAsset
-        What falls.
     hits : list of float
         Times of its contacts, s.
     """
@@ -78,7 +76,7 @@ class Fall:
         plane = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
         floor = p.createMultiBody(0, plane, physicsClientId=client)
         p.changeDynamics(floor, -1, restitution=1.0, lateralFriction=1.0, physicsClientId=client)
-        self.world, self.asset = World(client), asset
+        self.world = World(client)
         rotation = np.reshape(p.getMatrixFromQuaternion(orientation.tolist()), (3, 3))
         low = float((asset.vertices @ rotation[2]).min())
         gap = min(height, START_GAP)
@@ -153,18 +151,18 @@ def critical_height(client: int, asset: BreakableAsset, orientation: FloatArray,
     Returns
     -------
     float
-        m; exactly an end of RANGE where the height lies beyond it.
+        m; an end of RANGE exactly where the height lies beyond.
     """
-    low, high = ends = tuple(np.log(RANGE))
+    low, high = lowest, highest = np.log(RANGE)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         if Fall(client, asset, orientation, float(np.exp(middle)), rate).land() is None:
             low = middle
         else:
             high = middle
-    if low == ends[0]:
+    if low == lowest:
         return RANGE[0]
-    return RANGE[1] if high == ends[1] else float(np.exp(0.5 * (low + high)))
+    return RANGE[1] if high == highest else float(np.exp(0.5 * (low + high)))
 
 
 def beyond_range(heights: FloatArray) -> BoolArray:
@@ -173,12 +171,12 @@ def beyond_range(heights: FloatArray) -> BoolArray:
     Parameters
     ----------
     heights : ndarray of float64, shape (N, 2)
-        Critical heights at both rates, m.
+        At both rates, m.
 
     Returns
     -------
     ndarray of bool, shape (N,)
-        Whether both heights are beyond the same end of RANGE.
+        Whether both are beyond the same end of RANGE.
     """
     return (heights[:, 0] == heights[:, 1]) & np.isin(heights[:, 0], RANGE)
 
@@ -278,7 +276,7 @@ def measure(quick: bool, seed: int, progress: Callable[[float], None]) -> dict[s
     orientations /= np.linalg.norm(orientations, axis=1)[:, None]
     client = p.connect(p.DIRECT)
     result: dict[str, Any] = {"rates": RATES, "size": SIZE, "range": RANGE, "meshes": {}, "flights": {}}
-    total, done = len(MESHES) * (landings + trajectories), 0
+    done, total = 0, len(MESHES) * (landings + trajectories)
     for name in MESHES:
         asset = load(name).scaled(SIZE)
         strong = strengthened(asset, STRENGTH[name])

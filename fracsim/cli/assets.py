@@ -175,12 +175,12 @@ def _impulse_of(options: argparse.Namespace) -> Impulse | None:
     """Read the impulse on the command line; None if there is none."""
     from ..common.impulse import Impulse
 
-    parts = (options.point, options.direction, options.magnitude)
-    if all(value is None for value in parts):
+    values = (options.point, options.direction, options.magnitude)
+    if all(value is None for value in values):
         return None
-    if any(value is None for value in parts):
+    if any(value is None for value in values):
         raise FracsimError("give --point, --direction and --magnitude together, or none for a random impulse")
-    return Impulse(*parts)
+    return Impulse(*values)
 
 
 def view(options: argparse.Namespace) -> dict[str, Any]:

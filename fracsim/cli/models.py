@@ -109,7 +109,7 @@ def _kept_of_training(options: argparse.Namespace) -> str:
     return "nothing was written"
 
 
-def _options_given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
+def _training_options(options: argparse.Namespace, *names: str) -> dict[str, Any]:
     """Collect the arguments that stand on the command line."""
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
@@ -141,8 +141,10 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
     from ..metrics import amae
 
     kind = model_class(options.model)
-    given = _options_given(options, "epochs", "steps", "seconds", "batch", "rate", "patience", "threads", "device")
-    chosen = options_from(kind.options_type, _settings(options.set), given)
+    training = _training_options(
+        options, "epochs", "steps", "seconds", "batch", "rate", "patience", "threads", "device"
+    )
+    chosen = options_from(kind.options_type, _settings(options.set), training)
     out = require_file(options.out or Path(f"{options.dataset.stem}_{options.model}.safetensors"))
     if options.checkpoint is not None:
         require_file(options.checkpoint)
@@ -158,7 +160,7 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
         label = json.dumps([options.model, source, architecture], sort_keys=True)
         tick = stage.ticker("training")
         run = Run(options.checkpoint, options.checkpoint is not None, label=label, log=options.log, progress=tick)
-        model, training = kind.fit(body, samples, chosen, options.seed, run)
+        model, fitting = kind.fit(body, samples, chosen, options.seed, run)
         stage("validation")
         validation = samples.of_split(1).take(slice(VALIDATED))
         error = (
@@ -169,7 +171,7 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
         "dataset": source,
         "seed": options.seed,
         "options": asdict(chosen),
-        "training": training,
+        "training": fitting,
         "validation": {"impulses": len(validation), "amae": error},
         "seconds": {**stage.seconds, "total": sum(stage.seconds.values())},
     }
@@ -198,11 +200,11 @@ def tune(options: argparse.Namespace) -> dict[str, Any]:
     from ..study.tune_figures import write_figures
     from ..study.tune_summary import summary
 
-    given = _options_given(options, "epochs", "steps", "seconds", "batch", "rate")
+    training = _training_options(options, "epochs", "steps", "seconds", "batch", "rate")
     if options.samples is not None and options.samples < 1:
         raise ModelError(f"--samples must be at least 1, got {options.samples}")
     ranges = search_space(options.model, _settings(options.range, "--range"))
-    fixed = options_from(model_class(options.model).options_type, _settings(options.set), given)
+    fixed = options_from(model_class(options.model).options_type, _settings(options.set), training)
     out = require_folder(options.out or Path(f"tune_{options.model}"))
     with Stages(not options.quiet) as stage:
         with Dataset(options.dataset) as dataset:

@@ -147,6 +147,28 @@ def test_an_imported_module_is_named_in_the_help_texts(module, tmp_path):
     assert "unknown simulator 'toy'" in program("bake", "box.obj", "--simulator", "toy", cwd=tmp_path).stderr
 
 
+def test_an_imported_module_makes_a_model_known_to_training(torus_dataset, module, tmp_path):
+    module(
+        """
+        import fracsim
+        from fracsim.learning.nearest import Nearest
+
+        class Closest(Nearest):
+            kind = "closest"
+
+        fracsim.register_model("closest", Closest)
+        """
+    )
+    train = ("train", str(torus_dataset), "--model", "closest", "--set", "severity=1.0", "--out", "m.safetensors")
+    result = program("--import", "mine", *train, "--quiet", "--json", "m.json", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    figures = json.loads((tmp_path / "m.json").read_text())
+    assert figures["model"] == "closest"
+    assert figures["options"]["severity"] == 1.0
+    assert (tmp_path / "m.safetensors").exists()
+    assert "unknown model 'closest'" in only_line(program(*train, cwd=tmp_path).stderr)
+
+
 def test_imports_are_found_wherever_they_stand():
     assert split_imports(["--import", "a", "info", "--import=b", "bunny"]) == (["a", "b"], ["info", "bunny"])
 
