@@ -8,7 +8,7 @@ that lies still, or flies where nothing is, costs none: one call for all of them
 from __future__ import annotations
 
 from .bullet import Engine
-from .impacts import is_slow
+from .impacts import SLOW_SHARE, is_slow
 from .mover_motions import MoverMotions
 from .proximity import Proximity, contact_box
 from .records import NEVER, SETTINGS, BodyRecord
@@ -138,7 +138,7 @@ class Activity:
         record.contact_box = contact_box(record, dt)
         until, speed = NEVER, max(map(abs, record.motion[0]))
         if speed > 1e-9:
-            until = self._step + 1 + int(record.box_slack / (3 * speed * dt))
+            until = self._step + 1 + int(record.box_slack / (SETTINGS.creep_safety * speed * dt))
         self._leave(record, until)
 
     def _leave(self, record: BodyRecord, until: int) -> None:
@@ -206,7 +206,7 @@ class Activity:
         """
         motion_of, proximity = self._engine.motion, self._proximity
         fall_x, fall_y, fall_z = gravity[0] * dt, gravity[1] * dt, gravity[2] * dt
-        suspicious, slow, step = SETTINGS.suspect_share * threshold, SETTINGS.slow_share * threshold * dt, self._step
+        suspicious, slow, step = SETTINGS.suspect_share * threshold, SLOW_SHARE * threshold * dt, self._step
         steps_to_sleep, steps_of_flight = SETTINGS.steps_to_sleep, SETTINGS.steps_of_flight
         for record in tuple(self._observed):
             old = record.motion
@@ -313,7 +313,7 @@ class Activity:
         moved = max(abs(a - b) for a, b in zip(place, record.center, strict=True))
         asleep_for = self._step - record.unobserved_since
         record.unobserved_until = self._step + max(SETTINGS.steps_to_sleep, 2 * asleep_for)
-        return moved < 0.25 * record.box_slack
+        return moved < SETTINGS.creep_share * record.box_slack
 
     def _suspect_touched(self, suspects: list[BodyRecord], dt: float, threshold: float) -> None:
         """Suspect the bodies that movers push on, and keep how these move for the step to come."""

@@ -15,6 +15,7 @@ import pybullet as p
 
 from ..common.arrays import FloatArray
 from ..common.errors import PhysicsError
+from .client import client_id
 from .constraints import Constraints
 from .joints import Joints
 from .rotations import integrate_rotation, rotation_of
@@ -34,34 +35,6 @@ from .states import (
 )
 
 _TOKENS = count()  # numbers of the tags of bodies in this process
-
-
-def client_id(client: object) -> int:
-    """Find the integer that a physics client goes by.
-
-    Parameters
-    ----------
-    client : int or BulletClient
-        What pybullet.connect returned, or a ``pybullet_utils.bullet_client.BulletClient``.
-
-    Returns
-    -------
-    int
-        PyBullet's id of the client.
-
-    Raises
-    ------
-    PhysicsError
-        Where it is neither.
-    """
-    if not isinstance(client, (int, np.integer)):
-        from pybullet_utils.bullet_client import BulletClient
-
-        # It offers no public way to its id.
-        client = client._client if isinstance(client, BulletClient) else client
-    if isinstance(client, bool) or not isinstance(client, (int, np.integer)):
-        raise PhysicsError(f"a physics client is the integer that pybullet.connect returns, got {client!r}")
-    return int(client)
 
 
 class Engine:

@@ -21,6 +21,7 @@ from .rotations import rotation_of
 from .states import AT_REST, BodyContacts, Motion, Placement, RigidBody, Triple
 
 LOAD_DURATION = SETTINGS.load_duration  # s
+SLOW_SHARE = 0.25  # of a limit; three components of speed and three of spin below it add up to about the limit
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +99,11 @@ def is_slow(motion: Motion, limit: float, reach: float) -> bool:
     Returns
     -------
     bool
-        Whether each component of its velocity, and of its angular velocity times reach, is below a quarter of the
+        Whether each component of its velocity, and of its angular velocity times reach, is below `SLOW_SHARE` of the
         limit.
     """
     (a, b, c), (d, e, f) = motion
-    v, w = 0.25 * limit, 0.25 * limit / reach
+    v, w = SLOW_SHARE * limit, SLOW_SHARE * limit / reach
     return -v < a < v and -v < b < v and -v < c < v and -w < d < w and -w < e < w and -w < f < w
 
 

@@ -125,8 +125,8 @@ class Proximity:
         dt : float
             Time step, s.
         """
-        margin = SETTINGS.seen_speed * dt + 0.01 * record.reach
-        record.box_slack = 0.5 * margin
+        margin = SETTINGS.seen_speed * dt + SETTINGS.box_margin * record.reach
+        record.box_slack = SETTINGS.box_use * margin
         reach = record.reach + 2 * margin
         x, y, z = record.center = list(self._engine.placement(record.body.id)[0])
         record.box_low, record.box_high = (x - reach, y - reach, z - reach), (x + reach, y + reach, z + reach)
@@ -265,7 +265,7 @@ class Proximity:
         """
         grown = []
         for (key, (low, high)), distance in zip(boxes.items(), moved, strict=True):
-            s = 1.5 * distance
+            s = SETTINGS.mover_steps * distance
             grown.append((key, low[0] - s, low[1] - s, low[2] - s, high[0] + s, high[1] + s, high[2] + s))
         _, *lows_and_highs = zip(*grown, strict=True)
         west, south, down = map(min, lows_and_highs[:3])
@@ -301,7 +301,8 @@ def contact_box(record: BodyRecord, dt: float) -> tuple[float, ...]:
     if record.unobserved_until and not record.asleep:
         return (*record.box_low, *record.box_high)
     x, y, z = record.center
-    reach = 1.01 * record.reach + 0.2 * SETTINGS.seen_speed * dt + max(map(abs, record.motion[0])) * dt
+    moved = (SETTINGS.contact_steps * SETTINGS.seen_speed + max(map(abs, record.motion[0]))) * dt
+    reach = SETTINGS.contact_reach * record.reach + moved
     return x - reach, y - reach, z - reach, x + reach, y + reach, z + reach
 
 

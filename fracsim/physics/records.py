@@ -40,15 +40,28 @@ class ActivitySettings:
     load_steps : int
         Steps for which a force has to last to be a load; an impact is over after two or three.
     load_speed : float
-        Speed, m/s, four times the one below which a body counts as held still, as a load does (`is_slow`).
+        Limit for `is_slow`, m/s, of a body that is held still; only on one does a force count as a load.
     suspect_share : float
         Change of the speed of some point of a body in one step, as a share of the impact speed threshold, from which
         the body is a suspect. Below 1, as an impact takes a fraction of its time in a first step.
-    slow_share : float
-        Speed below which a body counts as slow, as a share of the threshold; it is the one of `is_slow`.
     flight_tolerance : float
         Distance between a body in flight and where its flight takes it, as a share of its reach, from which somebody
         has put it elsewhere.
+    box_margin : float
+        Margin of the box around a body, as a share of its reach; to this comes what the seen speed makes in a step.
+    box_use : float
+        Share of that margin that a body may use up before its box is made anew.
+    contact_reach : float
+        Reach of the box that something has to meet to touch a body, in units of the body's reach; more than 1 for the
+        collision margin.
+    contact_steps : float
+        Steps of the seen speed that are added to it.
+    mover_steps : float
+        Steps of its own motion by which the box of a mover is widened: the last one and half of the next.
+    creep_safety : float
+        How many times faster than now a body asleep may creep before it leaves its box unseen.
+    creep_share : float
+        Share of its slack that a body asleep may have moved and still counts as lying where it was.
     """
 
     steps_to_sleep: int = 12
@@ -60,8 +73,14 @@ class ActivitySettings:
     load_steps: int = 4
     load_speed: float = 0.4
     suspect_share: float = 0.75
-    slow_share: float = 0.25
     flight_tolerance: float = 0.05
+    box_margin: float = 0.01
+    box_use: float = 0.5
+    contact_reach: float = 1.01
+    contact_steps: float = 0.2
+    mover_steps: float = 1.5
+    creep_safety: float = 3.0
+    creep_share: float = 0.25
 
 
 SETTINGS = ActivitySettings()

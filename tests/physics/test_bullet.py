@@ -13,7 +13,8 @@ from scenes import HARD, SlabBox, ball
 
 import fracsim
 from fracsim.fracture.pieces import ConvexParts
-from fracsim.physics.bullet import Engine, client_id
+from fracsim.physics.bullet import Engine
+from fracsim.physics.client import client_id
 from fracsim.physics.states import AT_REST, ContactProperties
 
 CUBOID = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.2, 0.2) for z in (-0.3, 0.3)])
