@@ -1,4 +1,4 @@
-"""What tests of datasets share: a small body, quick options, and whether two lots of samples are the same."""
+"""What tests of datasets share: a small body, quick options, and a comparison of samples bit by bit."""
 
 from __future__ import annotations
 

@@ -45,18 +45,9 @@ def register_model(name: str, cls: type[Model] | str) -> None:
     ModelError
         Where the name is taken or is not the class's kind, or the class lacks what is looked up in a model.
     """
-    if name in MODELS and MODELS[name] is not cls:
+    if name in MODELS:
         raise ModelError(f"there is a model {name!r} already; choose another name")
-    if not isinstance(cls, str):
-        missing = [attribute for attribute in REQUIRED if not hasattr(cls, attribute)]
-        if missing:
-            raise ModelError(
-                f"{cls.__name__}: lacks {', '.join(missing)}; "
-                "inherit from fracsim.learning.model.Model, which has the defaults"
-            )
-        if cls.kind != name:
-            raise ModelError(f"{cls.__name__}: its kind is {cls.kind!r}, so it cannot be registered as {name!r}")
-    MODELS[name] = cls
+    MODELS[name] = cls if isinstance(cls, str) else _complete(name, cls)
 
 
 def model_class(name: str) -> type[Model]:
@@ -75,13 +66,29 @@ def model_class(name: str) -> type[Model]:
     Raises
     ------
     ModelError
-        Where no model has that name.
+        Where no model has that name, or the place it was registered with does not hold it.
     """
     if name not in MODELS:
         raise ModelError(f"unknown model {name!r}; use one of {', '.join(MODELS)}")
     entry = MODELS[name]
     if isinstance(entry, str):
         module, _, attribute = entry.partition(":")
-        cls: type[Model] = getattr(importlib.import_module(module), attribute)
-        return cls
+        loaded = vars(importlib.import_module(module))
+        if attribute not in loaded:
+            raise ModelError(f"model {name!r}: {module} has no class {attribute!r}; register it as 'module:Class'")
+        entry = _complete(name, loaded[attribute])
+        MODELS[name] = entry
     return entry
+
+
+def _complete(name: str, cls: type[Model]) -> type[Model]:
+    """Return the class, if it carries all that is looked up in a model."""
+    missing = [attribute for attribute in REQUIRED if attribute not in dir(cls)]
+    if missing:
+        raise ModelError(
+            f"{cls.__name__}: lacks {', '.join(missing)}; "
+            "inherit from fracsim.learning.model.Model, which has the defaults"
+        )
+    if cls.kind != name:
+        raise ModelError(f"{cls.__name__}: its kind is {cls.kind!r}, so it cannot be registered as {name!r}")
+    return cls

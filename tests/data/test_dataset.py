@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 import trimesh
 from fracture_samples import SMALL, bar_bell, same
+from matplotlib.colors import rgb_to_hsv
+from matplotlib.image import imread
 from scipy.stats import chisquare, kstest
 
 import fracsim
@@ -290,6 +292,7 @@ def test_flipped_bytes_never_raise_anything_but_a_dataset_error(copy):
         with contextlib.suppress(DatasetError), Dataset(copy) as dataset:
             dataset.damage()
             dataset.fields(dataset.samples(skip_damaged=True).labels[:1])
+            assert dataset.simulator is not None
 
 
 def test_another_mesh_other_options_or_another_seed_are_refused(copy, surface):
@@ -584,7 +587,12 @@ def test_the_command_line_makes_appends_describes_and_draws(tmp_path, capsys):
     assert main([*make, "--append", "200"]) == 0
     assert main(["dataset", "info", str(out), "--json", str(tmp_path / "i.json")]) == 0
     assert json.loads((tmp_path / "i.json").read_text())["counts"]["samples"] == 500
-    assert (tmp_path / "d.png").read_bytes().startswith(b"\x89PNG")
+    # Pieces are blue first, fields go from violet at a crack to yellow far from it.
+    hue, saturation, _ = rgb_to_hsv(imread(tmp_path / "d.png")[..., :3]).transpose(2, 0, 1)
+    drawn = hue[saturation > 0.3]
+    assert drawn.size > 0.05 * hue.size
+    for low, high in ((0.5, 0.62), (0.68, 0.85), (0.12, 0.2)):
+        assert ((drawn > low) & (drawn < high)).mean() > 0.02
     assert main(["dataset", "make", "--like", str(out), "--out", str(tmp_path / "again.h5"), "--quiet"]) == 0
     with Dataset(out) as one, Dataset(tmp_path / "again.h5") as other:
         same(one.samples(), other.samples())

@@ -154,6 +154,18 @@ def test_a_name_that_is_taken_or_a_class_that_lacks_something_is_refused(registe
     assert "bare" not in learning.MODELS
 
 
+def test_a_class_can_be_registered_by_its_place_and_is_imported_when_it_is_used(monkeypatch):
+    monkeypatch.setattr(learning, "MODELS", {})
+    fracsim.register_model("mean_field", f"{__name__}:MeanField")
+    assert learning.model_class("mean_field") is MeanField
+    fracsim.register_model("elsewhere", f"{__name__}:Nothing")
+    with pytest.raises(fracsim.ModelError, match=r"'elsewhere': .*has no class 'Nothing'"):
+        learning.model_class("elsewhere")
+    fracsim.register_model("other", f"{__name__}:MeanField")
+    with pytest.raises(fracsim.ModelError, match="its kind is 'mean_field'"):
+        learning.model_class("other")
+
+
 def test_every_model_of_the_package_carries_what_is_looked_up():
     for name in learning.MODELS:
         cls = learning.model_class(name)
