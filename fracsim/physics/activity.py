@@ -13,7 +13,7 @@ from .mover_motions import MoverMotions
 from .proximity import Proximity, contact_box
 from .records import NEVER, SETTINGS, BodyRecord
 from .states import BodyContacts, BodyLink, BodyNotFound, BodyState, JointRates, Motion, Triple
-from .sustained_loads import SustainedLoads
+from .sustained_loads import count_pressed_step, due_loads, is_pressed, release
 
 
 class Activity:
@@ -30,6 +30,8 @@ class Activity:
         The breakable bodies, by id.
     tokens : dict of int to str
         The tag of every body that the world made, breakable or not, by id.
+    any_pressed : bool
+        Whether more than a bearable force presses on any body.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -37,8 +39,8 @@ class Activity:
         self.records: dict[int, BodyRecord] = {}
         self._proximity = Proximity(engine, self.records)
         self._motions = MoverMotions(engine)
-        self._loads = SustainedLoads()
         self.tokens = self._proximity.tokens
+        self.any_pressed = False
         self._observed: list[BodyRecord] = []
         self._unobserved: list[BodyRecord] = []  # asleep or in flight
         self._flying: list[BodyRecord] = []  # those of them that fly
@@ -56,11 +58,6 @@ class Activity:
     @unwatched_movers.setter
     def unwatched_movers(self, bodies: set[int]) -> None:
         self._proximity.unwatched_movers = bodies
-
-    @property
-    def any_pressed(self) -> bool:
-        """Whether more than a bearable force presses on any body."""
-        return self._loads.any_pressed
 
     # Which bodies are observed
 
@@ -380,12 +377,13 @@ class Activity:
     def _count_pressed(self, record: BodyRecord) -> None:
         """Count the steps for which more than a bearable force has pressed on a body."""
         contacts = self.contacts_of(record.body.id)
-        if contacts is None or not self._loads.is_pressed(record, contacts):
-            self._loads.release(record)
+        if contacts is None or not is_pressed(record, contacts):
+            release(record)
             return
         if record.unobserved_until:
             self.wake(record)
-        self._loads.count(record, contacts)
+        count_pressed_step(record, contacts)
+        self.any_pressed = True
 
     def due_loads(self) -> list[BodyRecord]:
         """Find the bodies whose load has lasted long enough and is to be judged now.
@@ -395,7 +393,8 @@ class Activity:
         list of BodyRecord
             Each once every few steps, with ``load_due`` set.
         """
-        return self._loads.due(self._observed)
+        self.any_pressed = any(record.pressed_steps for record in self._observed)
+        return due_loads(self._observed)
 
     # How things moved before the last step
 

@@ -12,83 +12,71 @@ from .records import SETTINGS, BodyRecord
 from .states import BodyContacts
 
 
-class SustainedLoads:
-    """The breakable bodies that something presses on.
+def is_pressed(record: BodyRecord, contacts: BodyContacts | None) -> bool:
+    """Tell whether more than a bearable force presses on a body that is held still.
 
-    Attributes
+    Parameters
     ----------
-    any_pressed : bool
-        Whether more than a bearable force presses on any of them.
+    record : BodyRecord
+        The body.
+    contacts : BodyContacts, optional
+        Its contacts in the last step.
+
+    Returns
+    -------
+    bool
+        False too where it moves: then its contacts are those of an impact.
     """
+    if contacts is None or contacts.force <= record.bearable_force:
+        return False
+    return is_slow(record.motion, SETTINGS.load_speed, record.reach)
 
-    def __init__(self) -> None:
-        self.any_pressed = False
 
-    def is_pressed(self, record: BodyRecord, contacts: BodyContacts | None) -> bool:
-        """Tell whether more than a bearable force presses on a body that is held still.
+def count_pressed_step(record: BodyRecord, contacts: BodyContacts) -> None:
+    """Count a step in which a body was pressed.
 
-        Parameters
-        ----------
-        record : BodyRecord
-            The body.
-        contacts : BodyContacts, optional
-            Its contacts in the last step.
+    Parameters
+    ----------
+    record : BodyRecord
+        The body.
+    contacts : BodyContacts
+        Its contacts in this step. Of every few steps the lightest are kept, since a load acts in all of them.
+    """
+    record.pressed_steps += 1
+    if record.pressed_steps % SETTINGS.steps_between_inspections == 1:
+        record.lightest_contacts = None
+    if record.lightest_contacts is None or contacts.force < record.lightest_contacts.force:
+        record.lightest_contacts = contacts
 
-        Returns
-        -------
-        bool
-            False too where it moves: then its contacts are those of an impact.
-        """
-        if contacts is None or contacts.force <= record.bearable_force:
-            return False
-        return is_slow(record.motion, SETTINGS.load_speed, record.reach)
 
-    def count(self, record: BodyRecord, contacts: BodyContacts) -> None:
-        """Count a step in which a body was pressed.
+def release(record: BodyRecord) -> None:
+    """Take note that nothing presses on a body.
 
-        Parameters
-        ----------
-        record : BodyRecord
-            The body.
-        contacts : BodyContacts
-            Its contacts in this step. Of every few steps the lightest are kept, since a load acts in all of them.
-        """
-        self.any_pressed = True
-        record.pressed_steps += 1
-        if record.pressed_steps % SETTINGS.steps_between_inspections == 1:
-            record.lightest_contacts = None
-        if record.lightest_contacts is None or contacts.force < record.lightest_contacts.force:
-            record.lightest_contacts = contacts
+    Parameters
+    ----------
+    record : BodyRecord
+        The body.
+    """
+    record.pressed_steps, record.lightest_contacts = 0, None
 
-    def release(self, record: BodyRecord) -> None:
-        """Take note that nothing presses on a body.
 
-        Parameters
-        ----------
-        record : BodyRecord
-            The body.
-        """
-        record.pressed_steps, record.lightest_contacts = 0, None
+def due_loads(observed: Iterable[BodyRecord]) -> list[BodyRecord]:
+    """Find the bodies whose load has lasted long enough and is to be judged now.
 
-    def due(self, observed: Iterable[BodyRecord]) -> list[BodyRecord]:
-        """Find the bodies whose load has lasted long enough and is to be judged now.
+    Parameters
+    ----------
+    observed : iterable of BodyRecord
+        The bodies that are observed; a pressed one always is.
 
-        Parameters
-        ----------
-        observed : iterable of BodyRecord
-            The bodies that are observed; a pressed one always is.
-
-        Returns
-        -------
-        list of BodyRecord
-            Each once every few steps, with ``load_due`` set.
-        """
-        result = []
-        self.any_pressed = False
-        for record in observed:
-            pressed = record.pressed_steps
-            record.load_due = pressed > 0 and pressed % SETTINGS.steps_between_inspections == SETTINGS.load_steps
-            if record.load_due:
-                result.append(record)
-            self.any_pressed |= pressed > 0
-        return result
+    Returns
+    -------
+    list of BodyRecord
+        Each once every few steps, with ``load_due`` set.
+    """
+    result = []
+    for record in observed:
+        pressed = record.pressed_steps
+        record.load_due = pressed > 0 and pressed % SETTINGS.steps_between_inspections == SETTINGS.load_steps
+        if record.load_due:
+            result.append(record)
+    return result
