@@ -15,13 +15,10 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import optuna
 import pytest
-from optuna.trial import TrialState
 
 import fracsim
 from fracsim import learning
-from fracsim.cli.main import main
 from fracsim.common.errors import FieldError, ModelError
 from fracsim.data.dataset import Dataset
 from fracsim.data.samples import FOLDS
@@ -30,7 +27,6 @@ from fracsim.learning.model import Model
 from fracsim.learning.search import Range
 from fracsim.metrics import amae
 from fracsim.segmentation import METHODS
-from fracsim.solids.geodesics import CAP
 from fracsim.study import optuna_study, tune
 from fracsim.study.optuna_study import open_study
 from fracsim.study.search_space import Search, search_space
@@ -453,71 +449,3 @@ def test_a_trial_under_way_here_is_not_started_twice(data, study):
     other.set_user_attr("process", optuna_study.process_name("self"))
     found = go(data, study, 2)
     assert found["counts"] == {"finished": 1, "failed": 0, "interrupted": 0, "under way": 1}
-
-
-# The command
-
-
-def command(dataset, out, *more):
-    return [
-        *("tune", str(dataset), "--model", "mlp", "--samples", "200", "--folds", "2", "--steps", "20"),
-        *("--batch", "128", "--range", "width=8:32", "--range", "layers=1:2", "--quiet", "--out", str(out), *more),
-    ]
-
-
-def test_the_command_tunes_a_perceptron_goes_on_and_says_what_it_chose(torus_dataset, tmp_path, capsys):
-    out, figures = tmp_path / "t", tmp_path / "t.json"
-    assert main(command(torus_dataset, out, "--trials", "1")) == 0
-    assert main(command(torus_dataset, out, "--trials", "3", "--json", str(figures))) == 0
-    data = json.loads(figures.read_text())
-    assert data == json.loads((out / "trials.json").read_text())
-    assert [trial["state"] for trial in data["trials"]] == ["complete"] * 3
-    for trial in data["trials"]:
-        assert 0 < trial["amae"] < CAP
-        assert 8 <= trial["parameters"]["width"] <= 32
-    chosen = data["trials"][data["chosen"]]["parameters"]
-    assert f"--set width={chosen['width']}" in capsys.readouterr().out
-    assert {path.name for path in out.iterdir()} == {"study.log", "trials.json", "pareto.png", "parallel.png"}
-
-
-@pytest.mark.parametrize(
-    ("more", "fault"),
-    [
-        (("--model", "magic"), "unknown model 'magic'"),
-        (("--range", "width"), "--range takes NAME=VALUE"),
-        (("--range", "width=8:many"), "--range width takes LOW:HIGH"),
-        (("--set", "depth=3"), "unknown option 'depth'"),
-        (("--samples", "0"), "--samples must be at least 1"),
-        (("--samples", "2"), "is empty; make more"),
-        (("--folds", "9"), "there are 5 folds"),
-        (("--trials", "-1"), "trials must be at least 0"),
-        (("--trials", "0"), "no trial finished"),
-        (("--storage", "/nowhere/j"), "create the folder first"),
-    ],
-)
-def test_the_command_names_what_is_wrong(torus_dataset, tmp_path, capsys, more, fault):
-    assert main(command(torus_dataset, tmp_path / "t", *more)) == 2
-    assert fault in capsys.readouterr().err
-
-
-def test_an_interrupted_command_says_how_to_go_on(torus_dataset, tmp_path):
-    out = tmp_path / "t"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "fracsim.cli", *command(torus_dataset, out, "--trials", "99999")],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-    def held():
-        name = f"{Path(torus_dataset).stem} mlp"
-        storage = optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(out / "study.log")))
-        return optuna.load_study(study_name=name, storage=storage).get_trials(states=(TrialState.COMPLETE,))
-
-    until(lambda: (out / "study.log").exists() and b"found" in (out / "study.log").read_bytes())
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "finished trials are kept; run the same command again to go on" in err
-    kept = len(held())
-    assert main(command(torus_dataset, out, "--trials", str(kept + 1))) == 0
-    assert len(held()) == kept + 1
