@@ -31,7 +31,7 @@ Surface = tuple[Floats, Ints]
 
 
 def _edges(faces: Ints) -> tuple[Ints, ...]:
-    """Edges (a, b) of a closed surface, their faces f = (a, b, c) and g = (b, a, d), as a, b, c, d, f, g."""
+    """List edges (a, b) of a closed surface, their faces f = (a, b, c) and g = (b, a, d), as a, b, c, d, f, g."""
     a, b, c = (np.roll(faces, -k, axis=1).ravel() for k in range(3))
     order = np.lexsort((a, np.maximum(a, b), np.minimum(a, b)))
     one, two = order[::2], order[1::2]
@@ -39,6 +39,7 @@ def _edges(faces: Ints) -> tuple[Ints, ...]:
 
 
 def _normals(vertices: Floats, faces: Ints) -> Floats:
+    """Compute the faces' unit normals."""
     p, q, r = (vertices[faces[..., k]] for k in range(3))
     n = np.cross(q - p, r - p)
     unit: Floats = n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-300)
@@ -46,7 +47,7 @@ def _normals(vertices: Floats, faces: Ints) -> Floats:
 
 
 def _free(vertices: Floats, faces: Ints, sharp: bool) -> Floats:
-    """Per vertex, the projector (3, 3) onto the directions it may move in: plane, crease line or nothing."""
+    """Find each vertex's projector (3, 3) onto the directions it may move in: plane, crease line or nothing."""
     n = _normals(vertices, faces)
     tensor = np.zeros((len(vertices), 3, 3))
     for k in range(3):
@@ -61,7 +62,7 @@ def _free(vertices: Floats, faces: Ints, sharp: bool) -> Floats:
 
 
 def _independent(rows: Ints, priority: Floats) -> Ints:
-    """Indices of rows that share no entry, chosen greedily by falling priority."""
+    """Choose rows that share no entry, greedily by falling priority; return their indices."""
     used: set[int] = set()
     kept = []
     for i in np.argsort(-priority.round(9), kind="stable"):
@@ -73,6 +74,7 @@ def _independent(rows: Ints, priority: Floats) -> Ints:
 
 
 def _split(vertices: Floats, faces: Ints, longest: float) -> Surface:
+    """Split edges that are too long at their middle, the longest first."""
     while True:
         edges = np.stack(_edges(faces))
         length = np.linalg.norm(vertices[edges[0]] - vertices[edges[1]], axis=1)
@@ -88,7 +90,9 @@ def _split(vertices: Floats, faces: Ints, longest: float) -> Surface:
 
 
 def _collapse(vertices: Floats, faces: Ints, shortest: float, longest: float, sharp: bool) -> Surface:
-    flat, least = (1e-4, 0.999) if sharp else (0.7, 0.7)
+    """Collapse edges that are too short, where the surface keeps its shape and its topology."""
+    # How far a vertex may leave the surface, as a share of the edge, and the smallest cosine that a face may turn by.
+    flat, cosine = (1e-4, 0.999) if sharp else (0.7, 0.7)
     for _ in range(3):
         a, b = _edges(faces)[:2]
         a, b = np.concatenate([a, b]), np.concatenate([b, a])
@@ -114,7 +118,7 @@ def _collapse(vertices: Floats, faces: Ints, shortest: float, longest: float, sh
             if (
                 len(ring & ring_v) == 4  # u, v and the two apexes: the link condition
                 and np.linalg.norm(vertices[new] - vertices[v], axis=2).max() < longest
-                and (np.einsum("ni,ni->n", _normals(vertices, new), normals[kept]) > least).all()
+                and (np.einsum("ni,ni->n", _normals(vertices, new), normals[kept]) > cosine).all()
             ):
                 target[u] = v
                 used |= ring
@@ -128,7 +132,8 @@ def _collapse(vertices: Floats, faces: Ints, shortest: float, longest: float, sh
 
 
 def _flip(vertices: Floats, faces: Ints, sharp: bool) -> Ints:
-    least = 0.999 if sharp else 0.7
+    """Flip edges until the surface is Delaunay, where it keeps its shape."""
+    cosine = 0.999 if sharp else 0.7  # the smallest that a face may turn by
     for _ in range(30):
         a, b, c, d, f, g = _edges(faces)
         left, right = vertices[[a, b]] - vertices[c], vertices[[a, b]] - vertices[d]
@@ -140,8 +145,8 @@ def _flip(vertices: Floats, faces: Ints, sharp: bool) -> Ints:
         old = _normals(vertices, faces)
         new = _normals(vertices, pair)
         size = len(vertices)
-        ok = (excess > 1e-4) & (np.einsum("ni,ni->n", old[f], old[g]) > least)
-        ok &= (np.einsum("kni,ni->kn", new, old[f]) > least).all(axis=0)
+        ok = (excess > 1e-4) & (np.einsum("ni,ni->n", old[f], old[g]) > cosine)
+        ok &= (np.einsum("kni,ni->kn", new, old[f]) > cosine).all(axis=0)
         ok &= ~np.isin(np.minimum(c, d) * size + np.maximum(c, d), np.minimum(a, b) * size + np.maximum(a, b))
         ok = np.flatnonzero(ok)
         if not len(ok):
@@ -153,7 +158,7 @@ def _flip(vertices: Floats, faces: Ints, sharp: bool) -> Ints:
 
 
 def _smooth(vertices: Floats, faces: Ints, sharp: bool, project: Callable[[Floats], Floats]) -> Floats:
-    """One step towards the neighbours' mean; a vertex whose faces would turn over stays where it was."""
+    """Take one step towards the neighbours' mean; a vertex whose faces would turn over stays where it was."""
     a, b = _edges(faces)[:2]
     total, count = np.zeros_like(vertices), np.bincount(np.concatenate([a, b]))
     np.add.at(total, a, vertices[b])
@@ -172,7 +177,30 @@ def remesh(
     sharp: bool,
     project: Callable[[Floats], Floats] = lambda points: points,
 ) -> Surface:
-    """The surface with edges of about one length; ``project`` returns points to a curved surface."""
+    """Remesh a closed surface to edges of about one length.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        Of the surface.
+    faces : ndarray of int64, shape (F, 3)
+        Outward.
+    edge : float
+        The length, in the vertices' unit.
+    sharp : bool
+        Whether it is a polyhedron, whose creases and corners are kept.
+    project : callable
+        Moves points (N, 3) back onto a curved surface.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Of the same shape.
+
+    Notes
+    -----
+    Botsch and Kobbelt 2004, *A remeshing approach to multiresolution modeling*.
+    """
     for _ in range(6):
         vertices, faces = _split(vertices, faces, 4 / 3 * edge)
         vertices, faces = _collapse(vertices, faces, 4 / 5 * edge, 4 / 3 * edge, sharp)
@@ -190,7 +218,13 @@ def remesh(
 
 
 def bunny() -> Surface:
-    """The bunny of ``pybullet_data``, smooth, about 3,300 vertices; it faces -y."""
+    """Make the bunny of ``pybullet_data`` smooth, with about 3,300 vertices; it faces -y.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Not scaled yet.
+    """
     raw = trimesh.load_mesh(Path(pybullet_data.getDataPath()) / "bunny.obj", process=False)
     raw.merge_vertices(merge_tex=True, merge_norm=True)
     raw.vertices = raw.vertices[:, [0, 2, 1]] * [1, -1, 1]  # y up, facing z
@@ -208,18 +242,25 @@ def bunny() -> Surface:
 
 
 def _bar(*sections: tuple[float, float, float, float, float]) -> Manifold:
-    """A straight bar along z through level rectangles, each (x, y, z, width along x, depth along y)."""
+    """Make a straight bar along z through level rectangles, each (x, y, z, width along x, depth along y)."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
     return Manifold.hull_points([(x + w * i, y + d * j, z) for x, y, z, w, d in sections for i, j in corners])
 
 
 def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Manifold:
+    """Make a box between bounds along each axis."""
     low, high = np.array([x, y, z]).T
     return Manifold.cube(high - low).translate(low)
 
 
 def chair() -> Surface:
-    """An armchair of slats with sharp edges, about 1,500 vertices; it faces -y."""
+    """Make an armchair of slats with sharp edges and about 1,500 vertices; it faces -y.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Not scaled yet.
+    """
     # Parts are flush or at least 0.0175 apart, as a narrow ledge would force thin triangles.
     back, lean = 0.225, 0.12 / 0.56  # the back leans from the seat's top at z = 0.44 to z = 1
 
@@ -242,7 +283,7 @@ def chair() -> Surface:
 
 
 def _zip(lower: Floats, upper: Floats, first_lower: int, first_upper: int) -> Ints:
-    """Triangles between two rings of rising angles; an edge's apex is the other ring's nearest vertex."""
+    """Triangulate between two rings of rising angles; an edge's apex is the other ring's nearest vertex."""
     n, m = len(lower), len(upper)
     middle = np.concatenate([lower + np.pi / n, upper + np.pi / m])
     order = np.argsort(middle.round(9), kind="stable")
@@ -256,7 +297,13 @@ def _zip(lower: Floats, upper: Floats, first_lower: int, first_upper: int) -> In
 
 
 def vase() -> Surface:
-    """A vase with a wall of 3 % of its height, about 1,500 vertices: rings of even segments, staggered."""
+    """Make a vase with a wall of 3 % of its height and about 1,500 vertices, in rings of even segments, staggered.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Not scaled yet.
+    """
     wall, edge = 0.03, 0.045
     z = np.linspace(0, 1 - wall / 2, 2001)
     knots = [0, 0.06, 0.5, 0.84, 1 - wall / 2], [0.15, 0.135, 0.285, 0.115, 0.175]
@@ -300,14 +347,36 @@ MESHES: dict[str, Callable[[], Surface]] = {"bunny": bunny, "chair": chair, "vas
 
 
 def normalised(vertices: Floats) -> Floats:
-    """Centred on the bounding box, with a largest extent of 1, to the 8 decimals that are written."""
+    """Centre vertices on their bounding box and scale them to largest extent 1, to the 8 decimals that are written.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        In any unit.
+
+    Returns
+    -------
+    ndarray of float64, shape (V, 3)
+        The vertices that the file gets.
+    """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     unit: Floats = ((vertices - (low + high) / 2) / (high - low).max()).round(8)
     return unit
 
 
 def check(mesh: trimesh.Trimesh) -> None:
-    """Raise unless the mesh is one closed, outward-oriented surface that a boolean kernel accepts."""
+    """Check that a mesh is one closed, outward-oriented surface that a boolean kernel accepts.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        As it is written.
+
+    Raises
+    ------
+    ValueError
+        If it is not.
+    """
     solid = Manifold(Mesh64(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.uint64)))
     sound = (
         mesh.is_watertight
@@ -324,6 +393,17 @@ def check(mesh: trimesh.Trimesh) -> None:
 
 
 def write_obj(path: Path, vertices: Floats, faces: Ints) -> None:
+    """Write a mesh as an OBJ file, in whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it is replaced if it is there.
+    vertices : ndarray of float64, shape (V, 3)
+        Written with 8 decimals.
+    faces : ndarray of int64, shape (F, 3)
+        Counted from 0.
+    """
     lines = ["v {:.8f} {:.8f} {:.8f}".format(*v) for v in (vertices + 0.0).tolist()]  # no -0.00000000
     lines += ["f {} {} {}".format(*f) for f in (faces + 1).tolist()]
     part = path.with_name(path.name + ".part")
@@ -332,6 +412,7 @@ def write_obj(path: Path, vertices: Floats, faces: Ints) -> None:
 
 
 def main() -> None:
+    """Run the script."""
     parser = argparse.ArgumentParser(description="Make the example meshes.")
     parser.add_argument("names", nargs="*", help=f"which of {', '.join(MESHES)}; all by default")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder of the OBJ files")
