@@ -97,8 +97,8 @@ def decomposition_task(asset: BreakableAsset, pieces: Sequence[Piece]) -> Task:
     ends = owner[arrays.pairs]
     apart = (ends >= 0).all(axis=1) & (ends[:, 0] != ends[:, 1])
     ends, normals = ends[apart], arrays.normals[apart] * arrays.projected[apart][:, None]
-    swap = ends[:, 0] > ends[:, 1]
-    ends[swap], normals[swap] = ends[swap][:, ::-1], -normals[swap]
+    is_reversed = ends[:, 0] > ends[:, 1]
+    ends[is_reversed], normals[is_reversed] = ends[is_reversed][:, ::-1], -normals[is_reversed]
     pairs, place = np.unique(ends, axis=0, return_inverse=True)
     total = np.zeros((len(pairs), 3))
     np.add.at(total, place.reshape(-1), normals)

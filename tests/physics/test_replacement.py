@@ -1,4 +1,4 @@
-"""The swap in the solver: the impact is counted once, whoever takes part in it, and energy is only ever lost."""
+"""Replacement in a step: the impact is counted once, whoever takes part in it, and energy is only ever lost."""
 
 from __future__ import annotations
 
@@ -240,12 +240,12 @@ def test_what_the_engine_makes_of_depth_is_taken_from_the_bodies_again(client, g
         p.resetBaseVelocity(one, (0.05 - 0.1 * (x > 0), 0, 0), (0, 0, 0), physicsClientId=client)
         bodies.append(Body(one, "", 1.0, np.zeros(3), np.eye(3), np.full(3, 1 / 6)))
     down = (0.0, 0.0, gravity)
-    parting = PenetrationGuard(bodies, RigidStates.now(engine, bodies).energy(down), 1.0)
-    start, ids = parting.energy, [body.id for body in bodies]
+    guard = PenetrationGuard(bodies, RigidStates.now(engine, bodies).energy(down), 1.0)
+    start, ids = guard.energy, [body.id for body in bodies]
     momentum, most = mechanics(client, ids)[1], 0.0
     for _ in range(100):
         p.stepSimulation(physicsClientId=client)
-        parting.take_gain(engine, down)
+        guard.take_gain(engine, down)
         most = max(most, RigidStates.now(engine, bodies).energy(down) - start)
     assert most < 1e-6
     np.testing.assert_allclose(mechanics(client, ids)[1][:2], momentum[:2], atol=1e-12)
@@ -257,40 +257,40 @@ def test_energy_that_comes_from_outside_is_left_to_the_pieces(client):
     one = p.createMultiBody(1.0, shape, -1, (0, 0, 0), physicsClientId=client)
     hammer = ball(client, 1.0, 0.1, (0, 0, 0.602), (0, 0, -5))
     body = Body(one, "", 1.0, np.zeros(3), np.eye(3), np.full(3, 1 / 6))
-    parting = PenetrationGuard([body], 0.0, 1.0)
+    guard = PenetrationGuard([body], 0.0, 1.0)
     p.stepSimulation(physicsClientId=client)
-    assert parting.take_gain(engine, (0.0, 0.0, 0.0)) is None
+    assert guard.take_gain(engine, (0.0, 0.0, 0.0)) is None
     assert p.getBaseVelocity(one, physicsClientId=client)[0][2] < -1.0
     assert p.getBaseVelocity(hammer, physicsClientId=client)[0][2] > -5.0
 
 
-# --- fast shards
+# --- fast pieces
 
 
 @pytest.mark.parametrize("rate", [240, 1000])
 @pytest.mark.parametrize("speed", [10.0, 60.0, 200.0, 5000.0])
-def test_a_shard_that_spins_keeps_its_angular_momentum_and_gains_no_energy(client, rate, speed):
+def test_a_piece_that_spins_keeps_its_angular_momentum_and_gains_no_energy(client, rate, speed):
     p.setTimeStep(1 / rate, physicsClientId=client)
     shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.02, 0.03, 0.01), physicsClientId=client)
-    shard = p.createMultiBody(0.1, shape, -1, physicsClientId=client)
-    p.changeDynamics(shard, -1, linearDamping=0, angularDamping=0, maxJointVelocity=1e5, physicsClientId=client)
+    piece = p.createMultiBody(0.1, shape, -1, physicsClientId=client)
+    p.changeDynamics(piece, -1, linearDamping=0, angularDamping=0, maxJointVelocity=1e5, physicsClientId=client)
     moments = np.array([1e-4, 2e-4, 2.5e-4])
-    p.changeDynamics(shard, -1, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
+    p.changeDynamics(piece, -1, localInertiaDiagonal=moments.tolist(), physicsClientId=client)
     spin = speed * np.array([0.3, 1.0, 0.2])
-    p.resetBaseVelocity(shard, (1, 0, 0), spin.tolist(), physicsClientId=client)
+    p.resetBaseVelocity(piece, (1, 0, 0), spin.tolist(), physicsClientId=client)
     engine = Engine(client)
-    guard = GyroscopicCorrection(engine)
-    guard.add([Body(shard, engine.mark(shard), 0.1, np.zeros(3), np.eye(3), moments)], tuple(spin))
-    guard.correct(1 / rate)  # in the step in which it comes to be
-    *_, angular, _, energy = mechanics(client, [shard])
+    correction = GyroscopicCorrection(engine)
+    correction.add([Body(piece, engine.mark(piece), 0.1, np.zeros(3), np.eye(3), moments)], tuple(spin))
+    correction.correct(1 / rate)  # in the step in which it comes to be
+    *_, angular, _, energy = mechanics(client, [piece])
     for _ in range(rate):
         p.stepSimulation(physicsClientId=client)
-        guard.correct(1 / rate)
-        *_, now, _, left = mechanics(client, [shard])
+        correction.correct(1 / rate)
+        *_, now, _, left = mechanics(client, [piece])
         assert left <= energy * (1 + 2e-3)
         if speed < SETTINGS.largest_turn * rate:
             assert np.linalg.norm(now - angular) < (2e-3 if speed < 0.5 * rate else 2e-2) * np.linalg.norm(angular)
-    linear, _ = p.getBaseVelocity(shard, physicsClientId=client)
+    linear, _ = p.getBaseVelocity(piece, physicsClientId=client)
     np.testing.assert_allclose(linear, (1, 0, 0), atol=1e-12)
 
 
@@ -303,11 +303,11 @@ def test_a_piece_lies_still_below_a_limit_of_speed_and_one_of_spin(client, speed
     piece = p.createMultiBody(0.1, shape, -1, physicsClientId=client)
     p.resetBaseVelocity(piece, (speed, 0, 0), (0, 0, spin), physicsClientId=client)
     engine = Engine(client)
-    guard = GyroscopicCorrection(engine)
-    guard.add([Body(piece, engine.mark(piece), 0.1, np.zeros(3), np.eye(3), np.ones(3))], (0.0, 0.0, spin))
+    correction = GyroscopicCorrection(engine)
+    correction.add([Body(piece, engine.mark(piece), 0.1, np.zeros(3), np.eye(3), np.ones(3))], (0.0, 0.0, spin))
     for _ in range(3):
-        guard.correct(1 / 240)
-    assert guard.moving == (set() if is_still else {piece})
+        correction.correct(1 / 240)
+    assert correction.moving == (set() if is_still else {piece})
 
 
 @given(st.lists(st.floats(-50, 50), min_size=3, max_size=3), st.floats(-1, 1), st.integers(0, 2**32 - 1))

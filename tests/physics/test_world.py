@@ -149,7 +149,7 @@ def test_the_impulse_is_what_stops_the_corner_that_hits(client, rate):
     np.testing.assert_allclose(hit.direction, (0, 0, 1), atol=1e-6)
 
 
-def test_a_ball_breaks_a_free_body_and_the_blow_is_not_lost(client):
+def test_a_ball_breaks_a_free_body_and_the_impact_is_not_lost(client):
     world = fracsim.World(client)
     world.add(SlabBox(), (-0.5, -0.5, -0.5), linear_damping=0.0, angular_damping=0.0)
     shot = ball(client, 2.0, 0.1, (-1, 0.1, 0.05), (10, 0, 0))
@@ -164,7 +164,7 @@ def test_a_ball_breaks_a_free_body_and_the_blow_is_not_lost(client):
     assert p.getBaseVelocity(events[0].children[0], physicsClientId=client)[0][0] > 0.5
 
 
-def test_a_central_blow_is_predicted_to_a_percent(client):
+def test_a_central_impact_is_predicted_to_a_percent(client):
     world = fracsim.World(client)
     world.add(SlabBox(toughness=1e9, restitution=0.5), (-0.5, -0.5, -0.5))
     shot = ball(client, 2.0, 0.1, (-1, 0, 0), (10, 0, 0))
