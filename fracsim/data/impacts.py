@@ -16,6 +16,11 @@ KINDS = ("single", "scattered", "landing", "ring", "grip")
 POOL = 2048  # points from which the contacts of landings, rings and grips are chosen
 TILT = np.deg2rad(10.0)  # half angle within which contacts of one body on another push the same way
 RING = (0.05, 0.25)  # radii, in units of the largest extent
+AWAY = -0.2  # cosine between a normal and a direction below which a point faces that way enough to be touched
+OPPOSITE = 0.5  # cosine between the inward normal of one finger and the outward normal under the other, at least
+OUT_OF_REACH = 10.0  # added to a distance, in units of the largest extent, so that no such point is chosen
+DEPTH_WEIGHT = 0.2  # of the depth of a grip against how far it is off the line through the body
+NEAREST = 64  # points of the pool among which a contact of a ring is chosen
 
 
 def draw_impacts(surface: Surface, count: int, rng: np.random.Generator) -> tuple[Impacts, IntArray]:
@@ -59,7 +64,7 @@ def draw_impacts(surface: Surface, count: int, rng: np.random.Generator) -> tupl
     if landing.any():
         up = rng.standard_normal((int(landing.sum()), 3))
         up /= np.linalg.norm(up, axis=1)[:, None]
-        height = up @ pool.T + 10.0 * (up @ normal.T > -0.2)  # what faces away from the floor does not touch it
+        height = up @ pool.T + OUT_OF_REACH * (up @ normal.T > AWAY)  # what faces away from the floor does not touch it
         lowest = np.argpartition(height, 4 * CONTACTS, axis=1)[:, : 4 * CONTACTS]
         chosen = np.take_along_axis(lowest, rng.permuted(np.tile(np.arange(4 * CONTACTS), (len(up), 1)), axis=1), 1)
         chosen = chosen[:, :CONTACTS]
@@ -77,8 +82,8 @@ def draw_impacts(surface: Surface, count: int, rng: np.random.Generator) -> tupl
         turn = 2 * np.pi * np.arange(CONTACTS) / contacts[ring, None]
         around = np.cos(turn)[:, :, None] * side[:, None] + np.sin(turn)[:, :, None] * np.cross(axis, side)[:, None]
         target = centre[:, None] + radius[:, None, None] * around
-        _, near = cKDTree(pool).query(target, k=64)
-        facing = np.einsum("rkni,ri->rkn", normal[near], axis) < -0.2
+        _, near = cKDTree(pool).query(target, k=NEAREST)
+        facing = np.einsum("rkni,ri->rkn", normal[near], axis) < AWAY
         first = np.argmax(facing, axis=2)
         chosen = np.take_along_axis(near, first[:, :, None], axis=2)[:, :, 0]
         # Where nothing near faces the tube, the contact is at its centre, which does.
@@ -94,9 +99,9 @@ def draw_impacts(surface: Surface, count: int, rng: np.random.Generator) -> tupl
         arm = pool - first[:, None]
         along = np.einsum("gpi,gi->gp", arm, inward)
         beside = np.linalg.norm(arm - along[:, :, None] * inward[:, None], axis=2)
-        facing = (normal @ inward.T).T > 0.5
+        facing = (normal @ inward.T).T > OPPOSITE
         # The nearest point of the far side that is close to the line through the body.
-        chosen = np.argmin(beside + 0.2 * along + 10.0 * ((along <= 0) | ~facing), axis=1)
+        chosen = np.argmin(beside + DEPTH_WEIGHT * along + OUT_OF_REACH * ((along <= 0) | ~facing), axis=1)
         face[grip, 1], bary[grip, 1] = pool_face[chosen], pool_bary[chosen]
         directions[grip, 0], directions[grip, 1] = cone(inward, TILT, rng), cone(-inward, TILT, rng)
         share[grip, :2] = 1.0

@@ -29,6 +29,7 @@ except ImportError as error:
 BLOCK = 400  # samples that are drawn together
 TEST, VALIDATION = 0.15, 0.1  # shares of a block; validation is taken from what is not test
 FOLDS = 5
+TRAINING_SPLIT, VALIDATION_SPLIT, TEST_SPLIT = range(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,7 @@ class Samples:
         The interfaces that break; (N, 0) of a simulator that does not know them. An interface may break inside a piece
         whose two sides are still joined by another way.
     split : ndarray of int64, shape (N,)
-        0 training, 1 validation, 2 test.
+        TRAINING_SPLIT, VALIDATION_SPLIT or TEST_SPLIT: 0, 1 or 2.
     fold : ndarray of int64, shape (N,)
         0 to FOLDS - 1; -1 in the test split, which no fold may contain.
     """
@@ -82,7 +83,7 @@ class Samples:
         Parameters
         ----------
         split : int
-            0 training, 1 validation, 2 test.
+            TRAINING_SPLIT, VALIDATION_SPLIT or TEST_SPLIT: 0, 1 or 2.
 
         Returns
         -------
@@ -211,8 +212,8 @@ def sample_block(simulator: FractureSimulator, seed: int, block: int) -> Samples
     split, fold = np.zeros(BLOCK, dtype=np.int64), np.full(BLOCK, -1)
     order = rng.permutation(BLOCK)
     test = round(TEST * BLOCK)
-    split[order[:test]] = 2
-    split[order[test : test + round(VALIDATION * (BLOCK - test))]] = 1
+    split[order[:test]] = TEST_SPLIT
+    split[order[test : test + round(VALIDATION * (BLOCK - test))]] = VALIDATION_SPLIT
     fold[rng.permutation(order[test:])] = np.arange(BLOCK - test) % FOLDS
     return Samples(
         impacts.faces,

@@ -7,15 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from ..common.impulse import Impulse
-from ..data.samples import Samples
+from ..data.samples import TEST_SPLIT, Samples
 from ..fracture.asset import BreakableAsset
 from ..fracture.predictor import field_of_labels
 from ..geometry.sampling import SurfacePoints
 from ..metrics import ACCEPTED, amae, ari, balanced_accuracy
 from .body import BodyGeometry
 from .nearest import Nearest, NearestOptions
-
-TEST = 2  # the split
 
 
 def evaluate_asset(
@@ -49,7 +47,7 @@ def evaluate_asset(
         The figures. ``ari_of_the_true_field`` is what the segmentation makes of exact fields; ``ms_median`` and
         ``ms_p99`` are times of a query in ms.
     """
-    test = samples.of_split(TEST)
+    test = samples.of_split(TEST_SPLIT)
     count = min(max_impulses, len(test))
     nearest = Nearest.fit(body, samples, NearestOptions(), 0)[0].predict_labels(test.take(slice(count)).impacts)
     points = SurfacePoints(asset.vertices, asset.faces)

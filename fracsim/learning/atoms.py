@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ..common.arrays import IntArray
 from ..common.errors import BakeError, MissingExtraError
-from ..data.samples import Samples, sample_block
+from ..data.samples import TRAINING_SPLIT, Samples, sample_block
 from ..fracture.rule import Interfaces, separated
 from ..simulators.base import FineCells, FractureSimulator, interfaces_between, pieces_from_broken
 from ..simulators.fracture_modes import ATOM_FLOOR
@@ -137,7 +137,7 @@ def atoms_for(simulator: FractureSimulator, observed: list[Samples], min_piece_v
         if isinstance(simulator, FineCells):
             fine, atom = simulator.fine_cells, simulator.fine_to_cell
         return Atoms(fine, atom, cells, interfaces_between(cells), True, min_piece_volume_fraction)
-    labels = np.concatenate([block.labels[block.split == 0] for block in observed])
+    labels = np.concatenate([block.labels[block.split == TRAINING_SPLIT] for block in observed])
     if not labels.any():
         raise BakeError(f"{simulator.surface.name}: no fracture of its simulator breaks it; use another simulator")
     atom = observed_atoms(cells, labels[labels.any(axis=1)], OBSERVED)

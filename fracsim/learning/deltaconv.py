@@ -39,6 +39,7 @@ except ImportError as error:
 
 IMPULSE_CHUNK = 4  # impulses that are asked about together
 VALIDATION_IMPULSES = 60  # a whole mesh each, so few of them
+TINY = 1e-12  # added to a squared length, so that its root has a derivative at 0
 HEAD = (256, 256, 128)  # widths, of the segmentation head that the thesis keeps
 
 
@@ -141,7 +142,7 @@ class VectorLayers(torch.nn.Module):
             if k == 0:  # turning commutes with mixing, so it may come after, where there are fewer channels
                 straight, across = u.chunk(2, dim=-1)
                 u = straight + rotated(across)
-            length = ((u**2).sum(dim=1, keepdim=True) + 1e-12).sqrt()
+            length = ((u**2).sum(dim=1, keepdim=True) + TINY).sqrt()
             u = u * (torch.relu(norm(length.reshape(-1, length.shape[-1])).reshape(length.shape)) / length)
         return u
 
@@ -158,7 +159,7 @@ class _Convolution(torch.nn.Module):
     def forward(self, x: torch.Tensor, u: torch.Tensor, on: Operators) -> tuple[torch.Tensor, torch.Tensor]:
         swirl = on.hodge_laplacian(on.divergence(u), on.curl(u))
         u = self.vectors(torch.cat([u, on.gradient(x), swirl], dim=-1))
-        length = ((u**2).sum(dim=1) + 1e-12).sqrt()
+        length = ((u**2).sum(dim=1) + TINY).sqrt()
         here = self.scalars(torch.cat([x, on.divergence(u), on.curl(u), length], dim=-1))
         return here + on.largest(self.around(x)), u
 

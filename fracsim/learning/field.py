@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Float32Array, FloatArray, IntArray
 from ..common.errors import MissingExtraError, ModelError
-from ..data.samples import Samples
+from ..data.samples import TRAINING_SPLIT, VALIDATION_SPLIT, Samples
 from ..fracture.predictor import FieldWeights, field_from_scores, minimax_scores
 from ..fracture.rule import components
 from ..metrics import ari
@@ -95,7 +95,8 @@ class FieldLearner:
         ).to(device_for(options.training))
         self.options = options
         self.training, self.validation = (
-            ContactPatches(samples.of_split(k), geometry.coordinates, body.faces) for k in range(2)
+            ContactPatches(samples.of_split(split), geometry.coordinates, body.faces)
+            for split in (TRAINING_SPLIT, VALIDATION_SPLIT)
         )
         self.count = len(self.training.count)
 
@@ -182,9 +183,11 @@ class FieldModel(Model):
         torch.manual_seed(seed)
         learner = FieldLearner(body, samples, geometry, options)
         figures = train(learner, options.training, seed, run)
-        net = frozen(learner.module, body, geometry, float(samples.of_split(0).severities.sum(axis=1).max()))
+        net = frozen(
+            learner.module, body, geometry, float(samples.of_split(TRAINING_SPLIT).severities.sum(axis=1).max())
+        )
         model = cls(body, net)
-        level, score = model.best_level(samples.of_split(1))
+        level, score = model.best_level(samples.of_split(VALIDATION_SPLIT))
         figures |= {"level": level, "validation_ari": score}
         return replace(model, net=replace(net, level=np.array([level], dtype=np.float32))), figures
 

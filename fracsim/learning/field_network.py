@@ -21,6 +21,13 @@ except ImportError as error:
     raise MissingExtraError("torch", "train") from error
 
 
+# Where training starts from.
+FREE_DEVIATION = 0.3  # of the free weights' openings where there is no prior
+HALF_FILTER = 30.0  # eigenvalue at which the filter has fallen to a half
+SLOPE, OFFSET = 3.0, 0.0  # of a logit over the logarithm of the squared load
+LOG_PUSH, LOG_SHEAR = -2.0, 0.0  # how much push and shear count, against pull
+
+
 class FieldNetwork(torch.nn.Module):
     """The network of FieldModel. Its prior is that an impact presses on a patch and spreads from it like heat.
 
@@ -64,14 +71,14 @@ class FieldNetwork(torch.nn.Module):
         if self.prior:
             torch.nn.init.zeros_(self.last.weight)
         else:
-            torch.nn.init.normal_(self.free, std=0.3 * inputs**-0.5)  # at 0 an opening has no gradient
-        decline = -np.log1p(geometry.values / 30) - np.log(radii)
+            torch.nn.init.normal_(self.free, std=FREE_DEVIATION * inputs**-0.5)  # at 0 an opening has no gradient
+        decline = -np.log1p(geometry.values / HALF_FILTER) - np.log(radii)
         self.log_filter = torch.nn.Parameter(torch.tensor(np.tile(decline, (radii, 1)), dtype=torch.float32))
         self.log_gain = torch.nn.Parameter(torch.zeros(count))
-        self.slope = torch.nn.Parameter(torch.tensor(3.0))
-        self.offset = torch.nn.Parameter(torch.tensor(0.0))
-        self.log_push = torch.nn.Parameter(torch.tensor(-2.0))
-        self.log_shear = torch.nn.Parameter(torch.tensor(0.0))
+        self.slope = torch.nn.Parameter(torch.tensor(SLOPE))
+        self.offset = torch.nn.Parameter(torch.tensor(OFFSET))
+        self.log_push = torch.nn.Parameter(torch.tensor(LOG_PUSH))
+        self.log_shear = torch.nn.Parameter(torch.tensor(LOG_SHEAR))
         incidence = np.zeros((atoms, count), dtype=np.float32)
         incidence[pairs[:, 0], np.arange(count)] = -1.0
         incidence[pairs[:, 1], np.arange(count)] = 1.0

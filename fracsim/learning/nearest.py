@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from ..common.arrays import Float32Array, IntArray
 from ..common.errors import ModelError
-from ..data.samples import Samples
+from ..data.samples import TRAINING_SPLIT, VALIDATION_SPLIT, Samples
 from ..metrics import ari
 from ..simulators.base import Impacts
 from .body import BodyGeometry
@@ -128,7 +128,7 @@ class Nearest(Model):
         ModelError
             Where there are no training samples, or none to choose weights by.
         """
-        train, validation = samples.of_split(0), samples.of_split(1)
+        train, validation = samples.of_split(TRAINING_SPLIT), samples.of_split(VALIDATION_SPLIT)
         if not len(train):
             raise ModelError("there is nothing to remember; make more samples with: fracsim dataset make")
         keys = resultant(train.impacts, body.surface).astype(np.float32)

@@ -16,11 +16,20 @@ import numpy.typing as npt
 
 from ..common.arrays import FloatArray
 from ..common.errors import MissingExtraError, ModelError
-from ..data.samples import Samples
+from ..data.samples import TRAINING_SPLIT, VALIDATION_SPLIT, Samples
 from ..solids.spectrum import Spectrum
 from .body import BodyGeometry
 from .field import FieldModel
-from .field_network import ContactPatches, FieldNetwork, frozen
+from .field_network import (
+    HALF_FILTER,
+    LOG_PUSH,
+    LOG_SHEAR,
+    OFFSET,
+    SLOPE,
+    ContactPatches,
+    FieldNetwork,
+    frozen,
+)
 from .options import TrainingOptions
 from .search import Range
 from .trainer import Run, train
@@ -66,12 +75,12 @@ class _SharedNet(torch.nn.Module):
     def __init__(self, radii: int, knots: int) -> None:
         super().__init__()
         places = np.exp(np.linspace(np.log(LOWEST), np.log(HIGHEST), knots))
-        start = -np.log1p(places / 30) - np.log(radii)
+        start = -np.log1p(places / HALF_FILTER) - np.log(radii)
         self.filter = torch.nn.Parameter(torch.tensor(np.tile(start, (radii, 1)), dtype=torch.float32))
-        self.slope = torch.nn.Parameter(torch.tensor(3.0))
-        self.offset = torch.nn.Parameter(torch.tensor(0.0))
-        self.log_push = torch.nn.Parameter(torch.tensor(-2.0))
-        self.log_shear = torch.nn.Parameter(torch.tensor(0.0))
+        self.slope = torch.nn.Parameter(torch.tensor(SLOPE))
+        self.offset = torch.nn.Parameter(torch.tensor(OFFSET))
+        self.log_push = torch.nn.Parameter(torch.tensor(LOG_PUSH))
+        self.log_shear = torch.nn.Parameter(torch.tensor(LOG_SHEAR))
 
     def numbers(self, hat: torch.Tensor) -> dict[str, torch.Tensor]:
         return {"log_filter": self.filter @ hat, **{name: getattr(self, name) for name in RULE}}
@@ -86,7 +95,10 @@ class _TrainingBody(torch.nn.Module):
         self.net = blank(body, geometry)
         self.hat = hats(geometry.values, options.knots)
         self.shared = shared
-        self.contacts = [ContactPatches(samples.of_split(k), geometry.coordinates, body.faces) for k in range(2)]
+        self.contacts = [
+            ContactPatches(samples.of_split(split), geometry.coordinates, body.faces)
+            for split in (TRAINING_SPLIT, VALIDATION_SPLIT)
+        ]
 
     def forward(self, *arguments: Any) -> torch.Tensor:
         return torch.func.functional_call(self.net, self.shared.numbers(self.hat), arguments)
@@ -240,7 +252,7 @@ class SharedField(FieldModel):
         learner = _SharedLearner(bodies, options)
         figures = train(learner, options.training, seed, run)
         numbers = {name: value.detach().numpy().astype(np.float32) for name, value in learner.module.named_parameters()}
-        severity = max(float(samples.of_split(0).severities.sum(axis=1).max()) for _, samples in bodies)
+        severity = max(float(samples.of_split(TRAINING_SPLIT).severities.sum(axis=1).max()) for _, samples in bodies)
         return cls._build(bodies[0][0], {**numbers, "severity": np.array([severity], np.float32)}, options), figures
 
     def on(self, body: BodyGeometry) -> Self:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ..common.arrays import Float32Array, FloatArray
 from ..common.errors import MissingExtraError, ModelError
-from ..data.samples import Samples
+from ..data.samples import TRAINING_SPLIT, VALIDATION_SPLIT, Samples
 from ..geometry.sampling import SurfacePoints
 from ..simulators.base import Impacts
 from ..solids.surface import Surface
@@ -62,7 +62,7 @@ def start_network(
         Where a split is empty.
     """
     torch.manual_seed(seed)
-    splits = samples.of_split(0), samples.of_split(1)
+    splits = samples.of_split(TRAINING_SPLIT), samples.of_split(VALIDATION_SPLIT)
     for split, name in zip(splits, ("training", "validation"), strict=True):
         if not len(split):
             raise ModelError(f"there are no {name} samples; make more with: fracsim dataset make")
