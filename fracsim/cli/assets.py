@@ -42,8 +42,10 @@ def add_bake(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fracsim bake``."""
     parser.add_argument("mesh", type=Path, help="any format that trimesh reads, in metres; one watertight component")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the asset (default: the mesh's name with .frac)")
-    parser.add_argument("--material", default="ceramic", metavar="NAME", help=listed(PRESETS, "ceramic"))
-    add_seed(parser, "of all random choices")
+    parser.add_argument(
+        "--material", default="ceramic", metavar="NAME", help=f"the material: {listed(PRESETS, 'ceramic')}"
+    )
+    add_seed(parser, "seed of all random choices")
     add_simulator(parser, "modal")
     parser.add_argument("--cells", type=int, default=5000, help="cells of the solid (default: 5000)")
     parser.add_argument("--modes", type=int, default=20, help="fracture modes (default: 20)")
@@ -85,11 +87,15 @@ def add_info(parser: argparse.ArgumentParser) -> None:
 def _add_impact(parser: argparse.ArgumentParser) -> None:
     """Add the asset and the impulse that acts on it."""
     parser.add_argument("asset", help="a file, or the name of an asset that comes with fracsim")
-    parser.add_argument("--point", type=float, nargs=3, metavar=("X", "Y", "Z"), help="m, in the asset's frame")
-    parser.add_argument("--direction", type=float, nargs=3, metavar=("X", "Y", "Z"), help="of any length")
-    parser.add_argument("--magnitude", type=float, help="N·s")
-    add_seed(parser, "draws the impulse if none is given")
-    parser.add_argument("--predictor", default="field", metavar="NAME", help=PREDICTORS)
+    parser.add_argument(
+        "--point", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where the impulse acts, m, in the asset's frame"
+    )
+    parser.add_argument(
+        "--direction", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where the impulse points; of any length"
+    )
+    parser.add_argument("--magnitude", type=float, help="of the impulse, N·s")
+    add_seed(parser, "seed that draws the impulse, if none is given")
+    parser.add_argument("--predictor", default="field", metavar="NAME", help=f"what predicts the pieces: {PREDICTORS}")
     parser.add_argument("--material", metavar="NAME", help=f"instead of the asset's own: {listed(PRESETS)}")
     parser.add_argument("--scale", type=float, default=1.0, help="times the asset's own size (default: 1)")
 

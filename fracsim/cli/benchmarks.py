@@ -24,9 +24,9 @@ def add_commands(commands: Commands) -> None:
         What ``ArgumentParser.add_subparsers`` returned.
     """
     parser = commands.add_parser("bench", help="measure the running simulation on this machine")
-    parser.add_argument("name", help=listed(BENCHMARKS))
+    parser.add_argument("name", help=f"the benchmark: {listed(BENCHMARKS)}")
     parser.add_argument("--quick", action="store_true", help="a short run, to see that it works")
-    add_seed(parser, "of all random choices")
+    add_seed(parser, "seed of all random choices")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="write runtime_NAME.json, .md and .png here")
     add_common(parser, quiet=True)
     parser.set_defaults(run=bench, check_out=require_folder)

@@ -38,7 +38,7 @@ def add_make(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--samples", type=int, help=f"the total that the file shall hold (default: {SAMPLES})")
     parser.add_argument("--append", type=int, metavar="N", help="instead: N more samples than the file holds")
     parser.add_argument("--like", type=Path, metavar="FILE", help="make that dataset again from its own header")
-    add_seed(parser, "of all random choices", None)
+    add_seed(parser, "seed of all random choices", None)
     add_simulator(parser, None)
     parser.add_argument("--cells", type=int, help="cells of the solid (default: 5000)")
     parser.add_argument("--modes", type=int, help="fracture modes, of simulators that have them (default: 20)")
@@ -58,7 +58,7 @@ def add_info(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fracsim dataset info``."""
     parser.add_argument("dataset", type=Path, help="a file that fracsim dataset make wrote")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the picture (default: the dataset's name with .png)")
-    add_seed(parser, "chooses the samples in the picture")
+    add_seed(parser, "seed that chooses the samples in the picture")
     add_common(parser)
     parser.set_defaults(run=info, check_out=require_file)
 

@@ -46,7 +46,7 @@ def add_train(parser: argparse.ArgumentParser) -> None:
     add_model(parser, "fit")
     _add_training(parser)
     parser.add_argument("--patience", type=int, metavar="N", help="stop after N validations without progress")
-    add_seed(parser, "of all random choices")
+    add_seed(parser, "seed of all random choices")
     parser.add_argument("--threads", type=int, help="of torch (default: 1)")
     parser.add_argument("--device", metavar="NAME", help="auto (default), cpu, cuda or cuda:N")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the model (default: DATASET_MODEL.safetensors)")
@@ -69,11 +69,11 @@ def add_tune(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--population", type=int, default=20, help="trials a generation (default: 20)")
     _add_training(parser)
     parser.add_argument("--samples", type=int, help="use no more than so many of the dataset's samples")
-    parser.add_argument("--folds", type=int, default=5, help="parts of the cross-validation (default: 5)")
+    parser.add_argument("--folds", type=int, default=5, help="folds of the cross-validation (default: 5)")
     parser.add_argument(
-        "--segmentation", default="watershed", metavar="NAME", help="that measures the fields (default: watershed)"
+        "--segmentation", default="watershed", metavar="NAME", help="cuts the predicted fields (default: watershed)"
     )
-    add_seed(parser, "of all random choices")
+    add_seed(parser, "seed of all random choices")
     parser.add_argument("--study", metavar="NAME", help="the study's name (default: the dataset's and the model's)")
     parser.add_argument("--storage", help="a file or a database URL, the same for all workers (default: OUT/study.log)")
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="for tables and pictures (default: tune_MODEL)")
@@ -91,7 +91,7 @@ def add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="for tables and pictures (default: the plan's name)")
     parser.add_argument("--work", type=Path, metavar="FOLDER", help="for datasets and models (default: OUT/work)")
     parser.add_argument("--meshes", default="", metavar="NAMES", help="only these of the plan, separated by commas")
-    parser.add_argument("--again", action="store_true", help="measure again, with the models that are there")
+    parser.add_argument("--again", action="store_true", help="measure again, with the models that are trained already")
     add_common(parser, quiet=True)
     parser.set_defaults(
         run=evaluate,
@@ -206,6 +206,8 @@ def tune(options: argparse.Namespace) -> dict[str, Any]:
     ranges = search_space(options.model, _settings(options.range, "--range"))
     fixed = options_from(model_class(options.model).options_type, _settings(options.set), training)
     out = require_folder(options.out or Path(f"tune_{options.model}"))
+    if options.storage is not None and "://" not in options.storage:  # a file, not a database
+        require_file(Path(options.storage))
     with Stages(not options.quiet) as stage:
         with Dataset(options.dataset) as dataset:
             header = json.dumps(dataset.header, sort_keys=True)
