@@ -346,14 +346,7 @@ class Engine:
             The state, as `restore` takes it.
         """
         place = self.placement_before(body, dt)
-        joints = self.joints.movable(body)
-        if not joints:
-            return BodyState(body, place, motion)
-        states = p.getJointStatesMultiDof(body, joints, physicsClientId=self.client)
-        now = tuple(state[1] for state in states)
-        # A ball joint's place is a quaternion, which a step backwards would have to compose; a step's worth is kept.
-        angles = tuple((state[0][0] - dt * state[1][0],) if len(state[0]) == 1 else tuple(state[0]) for state in states)
-        return BodyState(body, place, motion, joints, angles, now if rates is None else tuple(rates))
+        return BodyState(body, place, motion, *self.joints.before(body, rates, dt))
 
     def restore(self, state: BodyState) -> None:
         """Put a body back.
@@ -363,15 +356,9 @@ class Engine:
         state : BodyState
             Where, and how it moves there.
         """
-        client = self.client
-        p.resetBasePositionAndOrientation(state.body, *state.placement, physicsClientId=client)
-        p.resetBaseVelocity(state.body, *state.motion, physicsClientId=client)
-        for joint, angle, rate in zip(state.joints, state.angles, state.rates, strict=True):
-            # One joint at a time: the call for several at once has crashed the engine.
-            if len(angle) == 1:
-                p.resetJointState(state.body, joint, angle[0], rate[0], physicsClientId=client)
-            elif len(angle) == 4:
-                p.resetJointStateMultiDof(state.body, joint, angle, rate, physicsClientId=client)
+        p.resetBasePositionAndOrientation(state.body, *state.placement, physicsClientId=self.client)
+        p.resetBaseVelocity(state.body, *state.motion, physicsClientId=self.client)
+        self.joints.restore(state)
 
     # What touches what
 

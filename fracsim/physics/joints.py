@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pybullet as p
 
-from .states import JointRates
+from .states import BodyState, JointRates
 
 
 class Joints:
@@ -65,3 +65,47 @@ class Joints:
             return ()
         states = p.getJointStatesMultiDof(body, joints, physicsClientId=self._client)
         return tuple(state[1] for state in states)
+
+    def before(self, body: int, rates: JointRates | None, dt: float) -> tuple[tuple[int, ...], JointRates, JointRates]:
+        """Compute where the joints were before the last step.
+
+        Parameters
+        ----------
+        body : int
+            Id of the body.
+        rates : tuple of tuple of float, optional
+            How they moved then; None takes what they do now.
+        dt : float
+            Length of the step, s.
+
+        Returns
+        -------
+        joints : tuple of int
+            Indices of those that are not fixed.
+        angles : tuple of tuple of float
+            Position of each: rad or m. A ball joint's is its quaternion after the step, which is a step's turn off.
+        rates : tuple of tuple of float
+            Velocity of each, rad/s or m/s.
+        """
+        joints = self.movable(body)
+        if not joints:
+            return (), (), ()
+        states = p.getJointStatesMultiDof(body, joints, physicsClientId=self._client)
+        now = tuple(state[1] for state in states)
+        angles = tuple((state[0][0] - dt * state[1][0],) if len(state[0]) == 1 else tuple(state[0]) for state in states)
+        return joints, angles, now if rates is None else tuple(rates)
+
+    def restore(self, state: BodyState) -> None:
+        """Put the joints of a body back.
+
+        Parameters
+        ----------
+        state : BodyState
+            Where, and how they move there.
+        """
+        for joint, angle, rate in zip(state.joints, state.angles, state.rates, strict=True):
+            # One joint at a time: the call for several at once has crashed the engine.
+            if len(angle) == 1:
+                p.resetJointState(state.body, joint, angle[0], rate[0], physicsClientId=self._client)
+            elif len(angle) == 4:
+                p.resetJointStateMultiDof(state.body, joint, angle, rate, physicsClientId=self._client)
