@@ -95,12 +95,8 @@ class BakeOptions:
     @property
     def simulator_options(self) -> SimulatorOptions:
         """What the simulator is built with."""
-        return options_for(
-            self.simulator,
-            cells=self.cells,
-            modes=self.modes,
-            min_piece_volume_fraction=self.min_piece_volume_fraction,
-        )
+        floor = self.min_piece_volume_fraction
+        return options_for(self.simulator, cells=self.cells, modes=self.modes, min_piece_volume_fraction=floor)
 
 
 def model_for(simulator: str) -> FieldOptions:
@@ -175,51 +171,33 @@ def bake(
         observed = observe_fractures(made, seed)
         atoms = atoms_for(made, observed, options.min_piece_volume_fraction)
         stage("impact")
-        field = (
-            made.impact_field
-            if isinstance(made, ImpactField)
-            else impact_field(atoms.fine_cells, atoms.fine_to_atom, surface.vertices)
-        )
+        if isinstance(made, ImpactField):
+            field = made.impact_field
+        else:
+            field = impact_field(atoms.fine_cells, atoms.fine_to_atom, surface.vertices)
         body = BodyGeometry.of(surface, atoms, stage.ticker("distances"))
-        samples = sample(
-            made,
-            options.samples,
-            seed,
-            stage.ticker("samples"),
-            options.workers,
-            transform=atoms.project,
-            begun=observed,
-        )
-        model, training = FieldModel.fit(
-            body, samples, options.model or model_for(name), seed, Run(progress=stage.ticker("training"))
-        )
-        whole, joints = (surface.vertices, surface.faces), atoms.interfaces
+        draw = stage.ticker("samples")
+        samples = sample(made, options.samples, seed, draw, options.workers, transform=atoms.project, begun=observed)
+        run = Run(progress=stage.ticker("training"))
+        model, training = FieldModel.fit(body, samples, options.model or model_for(name), seed, run)
+        whole, interfaces = (surface.vertices, surface.faces), atoms.interfaces
         arrays = AssetArrays(
             faces=surface.faces,
             points=atoms.solid.points,
             triangles=atoms.solid.triangles,
             sides=atoms.solid.sides,
             impact_field=field.astype(np.float32),
-            pairs=joints.pairs,
-            areas=joints.areas,
-            normals=joints.normals,
-            projected=joints.projected,
+            pairs=interfaces.pairs,
+            areas=interfaces.areas,
+            normals=interfaces.normals,
+            projected=interfaces.projected,
             distances=body.distances[:, : len(surface.vertices)].astype(np.float16),
             interface_vertices=body.interface_vertices,
-            **convex_arrays(atoms.solid, whole, joints.pairs, joints.normals, stage.ticker),
+            **convex_arrays(atoms.solid, whole, interfaces.pairs, interfaces.normals, stage.ticker),
         )
-        asset = BreakableAsset(
-            Path(surface.name).stem,
-            chosen_material,
-            surface.scale,
-            surface.offset,
-            CAP,
-            options.min_piece_volume_fraction,
-            arrays,
-            model.net,
-            {},
-            _record(name, samples),
-        )
+        record, floor, size = _record(name, samples), options.min_piece_volume_fraction, (surface.scale, surface.offset)
+        title = Path(surface.name).stem
+        asset = BreakableAsset(title, chosen_material, *size, CAP, floor, arrays, model.net, {}, record)
         test = evaluate_asset(asset, body, samples, options.evaluated, stage.ticker("evaluation"))
         if not atoms.are_the_simulators:
             test["ari_of_the_atoms"] = _atoms_ari(made, atoms, observed[0])
@@ -233,7 +211,7 @@ def bake(
             "vertices": len(surface.vertices),
             "cells": len(atoms.fine_cells.volumes),
             "atoms": len(atoms.solid.volumes),
-            "interfaces": len(joints),
+            "interfaces": len(interfaces),
             "hulls": len(arrays.hull_sizes),
             "body_hulls": len(arrays.body_sizes),
         },
