@@ -44,16 +44,17 @@ NEAREST = 16  # tetrahedra first searched for a point; more where none of them h
 BLOCK = 256  # right-hand sides or points worked on at a time
 
 
-# fTetWild talks through the standard output whatever it is told and leaves a file in the working directory, so it
+# fTetWild prints to the standard output at every log level and leaves a file in the working directory, so it
 # works in a process and a directory of its own.
 _WILD = """
 import sys
 import numpy as np
 import wildmeshing
-given = np.load("surface.npz")
-wild = wildmeshing.Tetrahedralizer(epsilon=float(given["epsilon"]), edge_length_r=float(given["edge"]), max_threads=1)
+surface = np.load("surface.npz")
+epsilon, edge = float(surface["epsilon"]), float(surface["edge"])
+wild = wildmeshing.Tetrahedralizer(epsilon=epsilon, edge_length_r=edge, max_threads=1)
 wild.set_log_level(6)
-wild.set_mesh(given["vertices"], given["faces"])
+wild.set_mesh(surface["vertices"], surface["faces"])
 wild.tetrahedralize()
 points, tetrahedra = wild.get_tet_mesh()[:2]
 np.savez("solid.npz", points=points, tetrahedra=tetrahedra)

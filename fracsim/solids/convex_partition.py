@@ -239,11 +239,11 @@ class ConvexPartition:
             directions.append(hint)
         if second in first.cuts:
             directions.append(first.cuts[second][0])
-        own_a, own_b = a[worth_a > 0], b[worth_b > 0]
+        inside_a, inside_b = a[worth_a > 0], b[worth_b > 0]
         low = np.maximum(first.box[0], second.box[0]) - 2 * REACH
         high = np.minimum(first.box[1], second.box[1]) + 2 * REACH
-        close_a, close_b = (own[((own >= low) & (own <= high)).all(axis=1)] for own in (own_a, own_b))
-        for left, right in ((own_a, own_b), (close_a, close_b)):
+        close_a, close_b = (points[((points >= low) & (points <= high)).all(axis=1)] for points in (inside_a, inside_b))
+        for left, right in ((inside_a, inside_b), (close_a, close_b)):
             if min(len(left), len(right)) > 3:
                 directions += [right.mean(axis=0) - left.mean(axis=0), _discriminant(left, right)]
         # Faces of either that the other hardly passes
@@ -293,12 +293,12 @@ class ConvexPartition:
     def _splits(self, part: _ConvexPart) -> list[tuple[FloatArray, float]]:
         """List planes worth trying: between what the part holds and what it lost, and those with the smallest hulls."""
         solid = self.solids[part.owner]
-        own = part.inside & solid.inside
-        points, corners = solid.points[own], hull_points(part.content)
+        inside = part.inside & solid.inside
+        points, corners = solid.points[inside], hull_points(part.content)
         if len(points) < 30:
             return []
         result = []
-        lost, held = solid.points[own & ~self._held(part.owner)], solid.points[own & self._kept(part)]
+        lost, held = solid.points[inside & ~self._held(part.owner)], solid.points[inside & self._kept(part)]
         if min(len(lost), len(held)) > 10:
             normal = _discriminant(lost, held)
             normal /= np.linalg.norm(normal)

@@ -202,9 +202,9 @@ def cut_once(surface: Surface, lattice: FloatArray, tetrahedra: IntArray) -> Sol
         [
             _find(edge_keys, face_edges[sf_face] * f + sf_facet[:, None]) + base_edge,
             np.where(
-                (found := _find(line_keys, facet_lines[sf_facet] * s + sf_face[:, None])) < 0,
+                (piercing := _find(line_keys, facet_lines[sf_facet] * s + sf_face[:, None])) < 0,
                 base_edge - 1,
-                found + base_line,
+                piercing + base_line,
             ),
         ],
         axis=1,
