@@ -40,12 +40,14 @@ def register_environment(name: str, entry_point: str, max_episode_steps: int | N
     Examples
     --------
     >>> import fracsim
-    >>> fracsim.register_environment("Shake-v0", "my_package.shake:ShakeEnv", max_episode_steps=200)
-    >>> fracsim.envs.ENVIRONMENTS["Shake-v0"].max_episode_steps
-    200
+    >>> fracsim.envs.ENVIRONMENTS["FractureDrop-v0"].max_episode_steps
+    300
+    >>> fracsim.register_environment("FractureDrop-v0", "my_package.drop:DropEnv")
+    Traceback (most recent call last):
+    fracsim.common.errors.FracsimError: the environment 'FractureDrop-v0' is registered already; choose another name
     """
     if name in registry:
-        raise FracsimError(f"the environment {name!r} is registered already; choose another name or version")
+        raise FracsimError(f"the environment {name!r} is registered already; choose another name")
     register(id=name, entry_point=entry_point, max_episode_steps=max_episode_steps)
     ENVIRONMENTS[name] = registry[name]
 
