@@ -3,7 +3,7 @@
 python benchmarks/elastic.py                # writes benchmarks/results/elastic.{json,md,png}; needs the extra "check"
 
 Each shape is built as it is baked; 300 single impacts fall on it, uniform over the area and in the cone of directions.
-For each, the drives of its interfaces by momentum diffusion are ranked against those by elastic tractions under
+For each, the load ratios of its interfaces by momentum diffusion are ranked against those by elastic tractions under
 inertia relief (fracsim/elastic.py). A strength and a jump of velocity have no common unit, so only ranks, and
 fractures at 1.5 times each rule's own threshold, are compared. A finer mesh shows the reference's own error, and
 the fracture of another impact what a comparison of unrelated fractures would give.
@@ -75,7 +75,7 @@ def fractures(modal: ModalSimulator, drive: np.ndarray) -> np.ndarray:
 
 
 def agreement(modal: ModalSimulator, left: np.ndarray, right: np.ndarray) -> dict:
-    """What becomes of the body under drives ``left`` and ``right`` (N, I) of the same impacts."""
+    """What becomes of the body under load ratios ``left`` and ``right`` (N, I) of the same impacts."""
     pairs, count = modal.interfaces.pairs, len(modal.cells.volumes)
     here, there = fractures(modal, left), fractures(modal, right)
     same = np.array([ari(a, b) for a, b in zip(here, there, strict=True)])
@@ -90,7 +90,7 @@ def agreement(modal: ModalSimulator, left: np.ndarray, right: np.ndarray) -> dic
 
 
 def hardest(drive: np.ndarray) -> np.ndarray:
-    """(N, I) the tenth of the interfaces that each impact drives hardest."""
+    """(N, I) the tenth of the interfaces that each impact loads hardest."""
     return drive >= np.quantile(drive, 0.9, axis=1, keepdims=True)
 
 
@@ -152,10 +152,10 @@ def compare(name: str) -> tuple[dict, dict]:
         "finer_tetrahedra": finer.mesh.t.shape[1],
         "edge": edge,
         "gauge": elastic.gauge,
-        "drives": {kind: rank_correlations(diffused, stressed, mask) for kind, mask in chosen.items()},
-        "drives_bending": rank_correlations(diffused, bent, everywhere),
+        "load_ratios": {kind: rank_correlations(diffused, stressed, mask) for kind, mask in chosen.items()},
+        "load_ratios_bending": rank_correlations(diffused, bent, everywhere),
         "mean_against_bending": rank_correlations(stressed, bent, everywhere),
-        "drives_finer_mesh": rank_correlations(stressed, refined, everywhere),
+        "load_ratios_finer_mesh": rank_correlations(stressed, refined, everywhere),
         "bending_finer_mesh": rank_correlations(bent, refined_bent, everywhere),
         "fracture": agreement(modal, diffused, stressed),
         "fracture_bending": agreement(modal, diffused, bent),
@@ -192,19 +192,19 @@ def show(values: dict, form: str = ".2f", scale: float = 1) -> str:
 
 def rows(s: dict) -> list[tuple[str, str]]:
     """What the table says of one shape."""
-    drives, seconds = s["drives"], {stage: s["seconds"][stage] for stage in ("modal", "mesh", "elastic")}
+    load_ratios, seconds = s["load_ratios"], {stage: s["seconds"][stage] for stage in ("modal", "mesh", "elastic")}
     queries = {stage: s["seconds"][stage] for stage in ("modal_query", "elastic_query")}
     fracture, bending, finer = (s[f"fracture{what}"] for what in ("", "_mean_against_bending", "_finer_mesh"))
     return [
-        ("parts / interfaces / tetrahedra", show({k: s[k] for k in ("parts", "interfaces", "tetrahedra")}, "d")),
-        ("**ρ of drives**, diffusion and elastic", spread(drives["all"])),
-        (f"… interfaces nearer than {FAR}", spread(drives["near"])),
-        (f"… farther than {FAR}", spread(drives["far"])),
-        ("… in tension", spread(drives["tension"])),
-        ("… in compression", spread(drives["compression"])),
-        ("diffusion and elastic with bending kept", spread(s["drives_bending"])),
+        ("atoms / interfaces / tetrahedra", show({k: s[k] for k in ("parts", "interfaces", "tetrahedra")}, "d")),
+        ("**ρ of load ratios**, diffusion and elastic", spread(load_ratios["all"])),
+        (f"… interfaces nearer than {FAR}", spread(load_ratios["near"])),
+        (f"… farther than {FAR}", spread(load_ratios["far"])),
+        ("… in tension", spread(load_ratios["tension"])),
+        ("… in compression", spread(load_ratios["compression"])),
+        ("diffusion and elastic with bending kept", spread(s["load_ratios_bending"])),
         ("elastic and elastic with bending kept", spread(s["mean_against_bending"])),
-        ("elastic and elastic on a finer mesh", spread(s["drives_finer_mesh"])),
+        ("elastic and elastic on a finer mesh", spread(s["load_ratios_finer_mesh"])),
         ("**ρ of thresholds**, diffusion and elastic", f"{fracture['thresholds']:.2f}"),
         ("elastic and elastic with bending kept", f"{bending['thresholds']:.2f}"),
         ("elastic and elastic on a finer mesh", f"{finer['thresholds']:.2f}"),
@@ -215,7 +215,7 @@ def rows(s: dict) -> list[tuple[str, str]]:
         ("pieces, diffusion / elastic", show(dict(enumerate(fracture["pieces"])), ".1f")),
         ("pulled hard and opened by diffusion too, near / far, %", show(s["opened_where_pulled_hard"], ".0f", 100)),
         ("opened by diffusion, of all interfaces, near / far, %", show(s["opened"], ".0f", 100)),
-        ("far among the hardest driven, elastic / diffusion, %", show(s["far_among_hardest_driven"], ".0f", 100)),
+        ("far among the most loaded, elastic / diffusion, %", show(s["far_among_hardest_driven"], ".0f", 100)),
         ("to build: modal / mesh / elastic, s", show(seconds, ".0f")),
         ("an impact: modal / elastic, µs", show(queries, ".0f", 1e6)),
     ]
@@ -231,20 +231,20 @@ def sentences(shapes: dict) -> list[str]:
     added = [s["seconds"]["mesh"] + s["seconds"]["elastic"] for s in every]
     far = [s["far_among_hardest_driven"] for s in every]
     pulled = [s["opened_where_pulled_hard"] for s in every]
-    drives, fractures = [s["drives"] for s in every], [s["fracture"] for s in every]
+    ratios, fractures = [s["load_ratios"] for s in every], [s["fracture"] for s in every]
     slower = [s["seconds"]["elastic_query"] / s["seconds"]["modal_query"] for s in every]
     return [
-        "Diffusion is a rough guide to elastic stress: the median rank correlation of the drives is "
-        f"{between([d['all']['median'] for d in drives])}, where the reference agrees with itself on a finer mesh to "
-        f"{between([s['drives_finer_mesh']['median'] for s in every])}. Part of that is distance alone: within the "
-        f"interfaces near the contact it is {between([d['near']['median'] for d in drives])}, within the far ones "
-        f"{between([d['far']['median'] for d in drives])}.",
+        "Diffusion is a rough guide to elastic stress: the median rank correlation of the load ratios is "
+        f"{between([d['all']['median'] for d in ratios])}, where the reference agrees with itself on a finer mesh to "
+        f"{between([s['load_ratios_finer_mesh']['median'] for s in every])}. Part of that is distance alone: within "
+        f"the interfaces near the contact it is {between([d['near']['median'] for d in ratios])}, within the far ones "
+        f"{between([d['far']['median'] for d in ratios])}.",
         "Far-side tension it hardly sees: of the interfaces farther than "
-        f"{FAR} that elasticity pulls apart and drives hardest, diffusion opens "
+        f"{FAR} that elasticity pulls apart and loads hardest, diffusion opens "
         f"{between([p['far'] for p in pulled], '.0f', 100)} %, of all far interfaces "
         f"{between([s['opened']['far'] for s in every], '.0f', 100)} %; near the contact it is "
         f"{between([p['near'] for p in pulled], '.0f', 100)} %. Elasticity has "
-        f"{between([f['elastic'] for f in far], '.0f', 100)} % of its hardest driven tenth beyond {FAR}, diffusion "
+        f"{between([f['elastic'] for f in far], '.0f', 100)} % of its most loaded tenth beyond {FAR}, diffusion "
         f"{between([f['diffusion'] for f in far], '.0f', 100)} %.",
         "Which impacts break the body most easily, the two rank alike to "
         + ", ".join(f"{s['fracture']['thresholds']:.2f} ({name})" for name, s in shapes.items())
@@ -254,8 +254,8 @@ def sentences(shapes: dict) -> list[str]:
         "The mean traction of an interface hides bending where the interface is a whole section, tension on one side "
         "cancelling compression on the other. With bending kept (root mean square over the interface) the elastic "
         f"ranks agree with the mean's to {between([s['mean_against_bending']['median'] for s in every])}, and with "
-        f"diffusion's to {between([s['drives_bending']['median'] for s in every])}.",
-        f"Elastic drives would add {between(added, '.0f')} s to a bake, the mesh included, and make a query "
+        f"diffusion's to {between([s['load_ratios_bending']['median'] for s in every])}.",
+        f"Elastic load ratios would add {between(added, '.0f')} s to a bake, the mesh included, and make a query "
         f"{between(slower, '.1f')} times as dear. They are not the truth either: quasi-static, without waves, and "
         "all that breaks breaks at once, under the stress of the whole body.",
     ]
@@ -294,7 +294,7 @@ def draw(shapes: dict, plotted: dict) -> None:
     labels = [*KINDS, "finer\nmesh"]
     width = 0.8 / len(shapes)
     for k, (name, s) in enumerate(shapes.items()):
-        values = [s["drives"][kind] for kind in KINDS] + [s["drives_finer_mesh"]]
+        values = [s["load_ratios"][kind] for kind in KINDS] + [s["load_ratios_finer_mesh"]]
         middle = np.array([v["median"] for v in values])
         error = np.array([[v["median"] - v["p10"] for v in values], [v["p90"] - v["median"] for v in values]])
         place = np.arange(len(values)) + (k - (len(shapes) - 1) / 2) * width
@@ -302,7 +302,7 @@ def draw(shapes: dict, plotted: dict) -> None:
     bars.set_xticks(range(len(labels)), [label.replace("compression", "compr.") for label in labels], fontsize=8)
     bars.axhline(0, color="k", lw=0.6)
     bars.axvline(len(KINDS) - 0.5, color="grey", lw=0.8, ls=":")
-    bars.set(title="drives: ρ with elastic ones, p10 to p90", ylabel="Spearman's ρ")
+    bars.set(title="load ratios: ρ with elastic ones, p10 to p90", ylabel="Spearman's ρ")
     bars.legend(fontsize=8, loc="upper left")
 
     scatter = axes[1, 1]
@@ -343,9 +343,9 @@ def report(shapes: dict, plotted: dict) -> None:
     columns = [rows(s) for s in shapes.values()]
     lines = [
         f"Momentum diffusion, as in the simulator, beside linear elasticity under inertia relief; {IMPACTS} single",
-        "impacts a shape. ρ: Spearman's rank correlation, of drives over the interfaces of each impact (median, 10 %",
-        "to 90 % of the impacts) or of thresholds over the impacts. ARI: of the pieces that the vertices lie on, at",
-        f"{RATIO} times each rule's own threshold. `python benchmarks/elastic.py`",
+        "impacts a shape. ρ: Spearman's rank correlation, of load ratios over the interfaces of each impact (median,",
+        "10 % to 90 % of the impacts) or of thresholds over the impacts. ARI: of the pieces that the vertices lie on,",
+        f"at {RATIO} times each rule's own threshold. `python benchmarks/elastic.py`",
         "",
         "| | " + " | ".join(shapes) + " |",
         "|---" * (len(shapes) + 1) + "|",
