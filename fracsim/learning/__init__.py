@@ -6,10 +6,10 @@ then goes through ``fracsim train``, ``tune`` and ``evaluate`` by its name.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..common.errors import ModelError
+from ..common.registry import check_new_name, class_at, missing_members
 
 if TYPE_CHECKING:
     from .model import Model
@@ -45,8 +45,7 @@ def register_model(name: str, cls: type[Model] | str) -> None:
     ModelError
         Where the name is taken or is not the class's kind, or the class lacks what is looked up in a model.
     """
-    if name in MODELS:
-        raise ModelError(f"there is a model {name!r} already; choose another name")
+    check_new_name(name, MODELS, "model", ModelError)
     MODELS[name] = cls if isinstance(cls, str) else _complete(name, cls)
 
 
@@ -72,23 +71,21 @@ def model_class(name: str) -> type[Model]:
         raise ModelError(f"unknown model {name!r}; use one of {', '.join(MODELS)}")
     entry = MODELS[name]
     if isinstance(entry, str):
-        module, _, attribute = entry.partition(":")
-        loaded = vars(importlib.import_module(module))
-        if attribute not in loaded:
-            raise ModelError(f"model {name!r}: {module} has no class {attribute!r}; register it as 'module:Class'")
-        entry = _complete(name, loaded[attribute])
+        entry = _complete(name, class_at(entry, f"model {name!r}", ModelError))
         MODELS[name] = entry
     return entry
 
 
-def _complete(name: str, cls: type[Model]) -> type[Model]:
+def _complete(name: str, cls: Any) -> type[Model]:
     """Return the class, if it carries all that is looked up in a model."""
-    missing = [attribute for attribute in REQUIRED if attribute not in dir(cls)]
-    if missing:
+    if not isinstance(cls, type):
+        raise ModelError(f"model {name!r}: must be a class or 'module:Class', got {cls!r}")
+    if missing := missing_members(cls, REQUIRED):
         raise ModelError(
             f"{cls.__name__}: lacks {', '.join(missing)}; "
             "inherit from fracsim.learning.model.Model, which has the defaults"
         )
-    if cls.kind != name:
-        raise ModelError(f"{cls.__name__}: its kind is {cls.kind!r}, so it cannot be registered as {name!r}")
-    return cls
+    model: type[Model] = cls
+    if model.kind != name:
+        raise ModelError(f"{cls.__name__}: its kind is {model.kind!r}, so it cannot be registered as {name!r}")
+    return model

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ..common.arrays import FloatArray, IntArray
 from ..common.errors import FieldError
+from ..common.registry import check_new_name
 from . import felzenszwalb as _felzenszwalb
 from . import hierarchical as _hierarchical
 from . import kmeans as _kmeans
@@ -103,10 +104,7 @@ def register_segmentation(
     FieldError
         If the name is taken or empty, the function cannot be called, or the default is not a finite number.
     """
-    if not isinstance(name, str) or not name:
-        raise FieldError(f"the name of a segmentation must be a text that is not empty, got {name!r}")
-    if name in METHODS:
-        raise FieldError(f"there is already a segmentation {name!r}; choose another name")
+    check_new_name(name, METHODS, "segmentation", FieldError)
     if not callable(function):
         raise FieldError(f"segmentation {name!r}: the function cannot be called, got {function!r}")
     if isinstance(default, bool) or not isinstance(default, (int, float)) or not math.isfinite(default):

@@ -7,10 +7,10 @@ class is added with ``register_simulator``.
 
 from __future__ import annotations
 
-import importlib
 from typing import TYPE_CHECKING, Any
 
 from ..common.errors import BakeError
+from ..common.registry import check_new_name, class_at, missing_members
 
 if TYPE_CHECKING:
     from .base import RegisteredSimulator
@@ -56,10 +56,7 @@ def register_simulator(name: str, cls: str | type[Any]) -> None:
     BakeError
         If the name is taken or no name, or the class lacks something.
     """
-    if not isinstance(name, str) or not name.strip() or name == UNREGISTERED:
-        raise BakeError(f"a simulator's name must be a string of letters and not {UNREGISTERED!r}, got {name!r}")
-    if name in SIMULATORS:
-        raise BakeError(f"the simulator name {name!r} is taken; choose another")
+    check_new_name(name, {*SIMULATORS, UNREGISTERED}, "simulator", BakeError)
     SIMULATORS[name] = cls if isinstance(cls, str) else _complete(name, cls)
 
 
@@ -87,11 +84,7 @@ def simulator_class(name: str) -> type[RegisteredSimulator]:
         raise BakeError(f"unknown simulator {name!r}; use {' or '.join(SIMULATORS)}, or register your own")
     entry = SIMULATORS[name]
     if isinstance(entry, str):
-        module, _, attribute = entry.partition(":")
-        loaded = vars(importlib.import_module(module))
-        if attribute not in loaded:
-            raise BakeError(f"simulator {name!r}: {module} has no class {attribute!r}; register it as 'module:Class'")
-        entry = _complete(name, loaded[attribute])
+        entry = _complete(name, class_at(entry, f"simulator {name!r}", BakeError))
         SIMULATORS[name] = entry
     return entry
 
@@ -100,7 +93,6 @@ def _complete(name: str, cls: Any) -> type[RegisteredSimulator]:
     """Return the class if it carries all that a registered simulator must."""
     if not isinstance(cls, type):
         raise BakeError(f"simulator {name!r}: must be a class or 'module:Class', got {cls!r}")
-    missing = [attribute for attribute in REQUIRED if attribute not in dir(cls)]
-    if missing:
+    if missing := missing_members(cls, REQUIRED):
         raise BakeError(f"simulator {name!r}: {cls.__name__} lacks {', '.join(missing)}; see RegisteredSimulator")
     return cls

@@ -140,7 +140,7 @@ def test_a_registered_model_is_evaluated_by_a_plan(registered, tmp_path):
 
 
 def test_a_name_that_is_taken_or_a_class_that_lacks_something_is_refused(registered):
-    with pytest.raises(fracsim.ModelError, match="there is a model 'mlp' already"):
+    with pytest.raises(fracsim.ModelError, match="the model name 'mlp' is taken"):
         fracsim.register_model("mlp", MeanField)
     with pytest.raises(fracsim.ModelError, match="its kind is 'mean_field'"):
         fracsim.register_model("other", MeanField)

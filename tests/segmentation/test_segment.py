@@ -141,7 +141,7 @@ def test_a_registered_segmentation_is_called_by_its_name_with_its_default(ball, 
 @pytest.mark.parametrize(
     ("name", "function", "default", "fault"),
     [
-        ("watershed", print, 0.1, "already a segmentation 'watershed'"),
+        ("watershed", print, 0.1, "the segmentation name 'watershed' is taken"),
         ("", print, 0.1, "not empty"),
         ("toy", "a text", 0.1, "cannot be called"),
         ("toy", print, np.nan, "finite number"),
