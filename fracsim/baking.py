@@ -6,8 +6,8 @@ Commands and users enter here; nothing that runs in a simulation does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +67,8 @@ class BakeOptions:
         Test impacts that the figures are taken over, at most; at least 50.
     workers : int
         Processes that draw samples.
+    simulator_settings : mapping of str to object
+        Other options of the simulator, by name.
     model : FieldOptions, optional
         The options of the field model; ``model_for`` the simulator by default.
 
@@ -83,6 +85,7 @@ class BakeOptions:
     min_piece_volume_fraction: float = 1e-3
     evaluated: int = 1500
     workers: int = 2
+    simulator_settings: Mapping[str, Any] = field(default_factory=dict)
     model: FieldOptions | None = None
 
     def __post_init__(self) -> None:
@@ -95,8 +98,9 @@ class BakeOptions:
     @property
     def simulator_options(self) -> SimulatorOptions:
         """What the simulator is built with."""
-        floor = self.min_piece_volume_fraction
-        return options_for(self.simulator, cells=self.cells, modes=self.modes, min_piece_volume_fraction=floor)
+        names = ("cells", "modes", "min_piece_volume_fraction")
+        values = {name: getattr(self, name) for name in names} | dict(self.simulator_settings)
+        return options_for(self.simulator, **values)
 
 
 def model_for(simulator: str) -> FieldOptions:
@@ -113,8 +117,12 @@ def model_for(simulator: str) -> FieldOptions:
         With a response for every interface of its own, unless the simulator is driven by an impact field, which the
         asset carries.
     """
-    driven = simulator in SIMULATORS and simulator_class(simulator).driven_by_impact_field
-    return FieldOptions(response=not driven)
+    return FieldOptions(response=not _driven_by_impact_field(simulator))
+
+
+def _driven_by_impact_field(simulator: str) -> bool:
+    """Say whether a simulator is registered, and driven by the impact field that the asset carries."""
+    return simulator in SIMULATORS and simulator_class(simulator).driven_by_impact_field
 
 
 def bake(
@@ -172,9 +180,9 @@ def bake(
         atoms = atoms_for(made, observed, options.min_piece_volume_fraction)
         stage("impact")
         if isinstance(made, ImpactField):
-            field = made.impact_field
+            impacts = made.impact_field
         else:
-            field = impact_field(atoms.fine_cells, atoms.fine_to_atom, surface.vertices)
+            impacts = impact_field(atoms.fine_cells, atoms.fine_to_atom, surface.vertices)
         body = BodyGeometry.of(surface, atoms, stage.ticker("distances"))
         draw = stage.ticker("samples")
         samples = sample(made, options.samples, seed, draw, options.workers, transform=atoms.project, begun=observed)
@@ -186,7 +194,7 @@ def bake(
             points=atoms.solid.points,
             triangles=atoms.solid.triangles,
             sides=atoms.solid.sides,
-            impact_field=field.astype(np.float32),
+            impact_field=impacts.astype(np.float32),
             pairs=interfaces.pairs,
             areas=interfaces.areas,
             normals=interfaces.normals,
@@ -195,7 +203,11 @@ def bake(
             interface_vertices=body.interface_vertices,
             **convex_arrays(atoms.solid, whole, interfaces.pairs, interfaces.normals, stage.ticker),
         )
-        record, floor, size = _record(name, samples), options.min_piece_volume_fraction, (surface.scale, surface.offset)
+        record, floor, size = (
+            _record(name, samples),
+            options.min_piece_volume_fraction,
+            (surface.scale, surface.offset),
+        )
         title = Path(surface.name).stem
         asset = BreakableAsset(title, chosen_material, *size, CAP, floor, arrays, model.net, {}, record)
         test = evaluate_asset(asset, body, samples, options.evaluated, stage.ticker("evaluation"))
@@ -254,7 +266,7 @@ def _record(name: str, samples: Samples) -> SimulatorRecord:
         raise BakeError("no training impact breaks the body, so there is nothing to learn; its simulator is too strong")
     single = train.kind == SINGLE_CONTACT
     typical = float(np.median((total / train.ratio)[single]))
-    return SimulatorRecord(name, 0.5 * float(total[broke].min()), typical)
+    return SimulatorRecord(name, 0.5 * float(total[broke].min()), typical, _driven_by_impact_field(name))
 
 
 def _atoms_ari(simulator: FractureSimulator, atoms: Atoms, block: Samples) -> float:

@@ -72,7 +72,7 @@ class _Simulator(argparse.Action):
 
 
 def add_simulator(parser: argparse.ArgumentParser, default: str | None) -> None:
-    """Add ``--simulator``, and its old name ``--truth``.
+    """Add ``--simulator``, its old name ``--truth``, and ``--set`` for its options.
 
     Parameters
     ----------
@@ -90,6 +90,9 @@ def add_simulator(parser: argparse.ArgumentParser, default: str | None) -> None:
         metavar="NAME",
         help=f"the fracture simulator to learn from: {listed(SIMULATORS, 'modal')}",
     )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="another option of the simulator"
+    )
 
 
 def add_model(parser: argparse.ArgumentParser, task: str) -> None:
@@ -104,6 +107,35 @@ def add_model(parser: argparse.ArgumentParser, task: str) -> None:
     """
     parser.add_argument("--model", default="mlp", metavar="NAME", help=f"the model to {task}: {listed(MODELS, 'mlp')}")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="an option of the model")
+
+
+def settings_of(texts: list[str], flag: str = "--set") -> dict[str, str]:
+    """Split arguments NAME=VALUE.
+
+    Parameters
+    ----------
+    texts : list of str
+        The arguments.
+    flag : str
+        What stands before them, for messages.
+
+    Returns
+    -------
+    dict of str to str
+        Values by name.
+
+    Raises
+    ------
+    FracsimError
+        If an argument has no equals sign.
+    """
+    settings: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise FracsimError(f"{flag} takes NAME=VALUE, got {text!r}")
+        settings[name] = value
+    return settings
 
 
 def add_seed(parser: argparse.ArgumentParser, purpose: str, default: int | None = 0) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import FracsimError
 from ..common.material import PRESETS
-from .arguments import Commands, add_common, add_seed, add_simulator, listed
+from .arguments import Commands, add_common, add_seed, add_simulator, listed, settings_of
 from .output import print_figures, require_file, require_folder
 
 if TYPE_CHECKING:
@@ -103,6 +103,7 @@ def _add_impact(parser: argparse.ArgumentParser) -> None:
 def bake(options: argparse.Namespace) -> dict[str, Any]:
     """Run ``fracsim bake``."""
     from ..baking import BakeOptions, bake, model_for
+    from ..simulators.registry import options_from
 
     out = require_file(options.out or Path(options.mesh.stem + ".frac"))
     learning = model_for(options.simulator)
@@ -118,6 +119,7 @@ def bake(options: argparse.Namespace) -> dict[str, Any]:
             samples=options.samples,
             workers=options.workers,
             model=learning,
+            simulator_settings=options_from(options.simulator, settings_of(options.set)),
         ),
         progress=not options.quiet,
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import DatasetError
-from .arguments import Commands, add_common, add_seed, add_simulator
+from .arguments import Commands, add_common, add_seed, add_simulator, settings_of
 from .output import print_figures, require_file
 
 SAMPLES = 1000  # of a new dataset, unless the command line says otherwise
@@ -70,7 +70,7 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
 
     from ..data.dataset import Dataset
     from ..data.writing import make_dataset, regenerate
-    from ..simulators.registry import options_for
+    from ..simulators.registry import SimulatorOptions, options_for, options_from
     from ..solids.surface import read_surface, refine
 
     begin = time.perf_counter()
@@ -83,10 +83,14 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
         for name in ("samples", "append", "seed", "simulator", "cells", "modes"):
             if getattr(options, name) is not None:
                 raise DatasetError(f"--{name} cannot be given with --like, whose header says it")
+        if options.set:
+            raise DatasetError("--set cannot be given with --like, whose header says it")
         seconds = regenerate(options.like, out, options.workers, options.backend, progress)
     else:
-        settings = {"name": options.simulator, "cells": options.cells, "modes": options.modes}
-        simulator = options_for(**{name: value for name, value in settings.items() if value is not None})
+        name = options.simulator or SimulatorOptions.name
+        arguments = {"cells": options.cells, "modes": options.modes}
+        values = {option: value for option, value in arguments.items() if value is not None}
+        simulator = options_for(name, **values, **options_from(name, settings_of(options.set)))
         total = SAMPLES if options.samples is None else options.samples
         if options.append is not None:
             if options.samples is not None or options.append < 1:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import ModelError
-from .arguments import Commands, add_common, add_model, add_seed
+from .arguments import Commands, add_common, add_model, add_seed, settings_of
 from .output import print_figures, require_file, require_folder
 
 VALIDATED = 200  # validation impacts, at most, that train's own figure is taken over: a second's work
@@ -114,17 +114,6 @@ def _training_options(options: argparse.Namespace, *names: str) -> dict[str, Any
     return {name: getattr(options, name) for name in names if getattr(options, name) is not None}
 
 
-def _settings(texts: list[str], flag: str = "--set") -> dict[str, str]:
-    """Split arguments NAME=VALUE."""
-    settings: dict[str, str] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise ModelError(f"{flag} takes NAME=VALUE, got {text!r}")
-        settings[name] = value
-    return settings
-
-
 def train(options: argparse.Namespace) -> dict[str, Any]:
     """Run ``fracsim train``."""
     import hashlib
@@ -144,7 +133,7 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
     training = _training_options(
         options, "epochs", "steps", "seconds", "batch", "rate", "patience", "threads", "device"
     )
-    chosen = options_from(kind.options_type, _settings(options.set), training)
+    chosen = options_from(kind.options_type, settings_of(options.set), training)
     out = require_file(options.out or Path(f"{options.dataset.stem}_{options.model}.safetensors"))
     if options.checkpoint is not None:
         require_file(options.checkpoint)
@@ -203,8 +192,8 @@ def tune(options: argparse.Namespace) -> dict[str, Any]:
     training = _training_options(options, "epochs", "steps", "seconds", "batch", "rate")
     if options.samples is not None and options.samples < 1:
         raise ModelError(f"--samples must be at least 1, got {options.samples}")
-    ranges = search_space(options.model, _settings(options.range, "--range"))
-    fixed = options_from(model_class(options.model).options_type, _settings(options.set), training)
+    ranges = search_space(options.model, settings_of(options.range, "--range"))
+    fixed = options_from(model_class(options.model).options_type, settings_of(options.set), training)
     out = require_folder(options.out or Path(f"tune_{options.model}"))
     if options.storage is not None and "://" not in options.storage:  # a file, not a database
         require_file(Path(options.storage))

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .errors import AssetError, FracsimError
+from .errors import FracsimError
 
 READABLE_BY_ALL = 0o644  # as an ordinary new file; temporary files are their owner's alone
 
 
-def write_beside(path: Path, data: bytes, error: type[FracsimError] = AssetError) -> None:
+def write_beside(path: Path, data: bytes, error: type[FracsimError] = FracsimError) -> None:
     """Write a file under another name in the same folder, then rename it, so that no half of it is ever seen.
 
     Parameters

@@ -213,16 +213,20 @@ class SimulatorRecord:
     Attributes
     ----------
     simulator : str
-        "modal", whose impact field the asset carries and can answer from; any other is known by its samples alone.
+        Its name.
     min_severity : float
         The least total severity that broke one of the samples, halved to be safe.
     typical_severity : float
         The median severity at which a single impact first breaks the body.
+    driven_by_impact_field : bool
+        Whether the simulator breaks what the breaking rule breaks under the impact field that the asset carries. Then
+        the asset can answer as the simulator does; any other is known by its samples alone.
     """
 
     simulator: str = "modal"
     min_severity: float = 0.0
     typical_severity: float = 1.0
+    driven_by_impact_field: bool = True
 
 
 @dataclass(frozen=True, eq=False)

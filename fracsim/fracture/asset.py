@@ -333,7 +333,7 @@ class BreakableAsset:
         directions = cone(-pool.normals[face], CONE, rng)
         ratio = ratios(count, rng)
         severity = ratio * self.baked_from.typical_severity
-        if self.baked_from.simulator == "modal":
+        if self.baked_from.driven_by_impact_field:
             rows = pool.rows(self.arrays.impact_field, face[:, None], barycentric[:, None])
             loads = load_ratios(rows, directions[:, None], np.ones((count, 1)), self.arrays.interfaces)
             severity = ratio / weakest_cut(loads, self.arrays.pairs, self.arrays.complex.count)
@@ -357,7 +357,7 @@ class BreakableAsset:
             If it cannot be written there.
         """
         contents = AssetContents(**{each.name: getattr(self, each.name) for each in fields(self)})
-        write_beside(Path(path), pack(contents))
+        write_beside(Path(path), pack(contents), AssetError)
 
 
 def load(source: str | os.PathLike[str]) -> BreakableAsset:

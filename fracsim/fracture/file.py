@@ -228,6 +228,8 @@ def _contents(tensors: dict[str, npt.NDArray[Any]], header: dict[str, Any], wher
     for name in ("min_severity", "typical_severity"):
         if not is_number(header["baked_from"][name]):
             raise malformed("baked_from", name)
+    if not isinstance(header["baked_from"]["driven_by_impact_field"], bool):
+        raise malformed("baked_from", "driven_by_impact_field")
     if not isinstance(header.get("metadata"), dict):
         raise malformed("metadata")
     try:

@@ -118,7 +118,7 @@ class FractureQuery:
     @cached_property
     def weakest(self) -> tuple[FloatArray, FloatArray]:
         """`AssetArrays.weakest`; where the simulator is known by its samples alone, what they tell of it."""
-        if self.baked_from.simulator == "modal":
+        if self.baked_from.driven_by_impact_field:
             return self.arrays.weakest
         everywhere = np.full(len(self.arrays.impact_field), self.baked_from.min_severity)
         return everywhere, everywhere
@@ -301,7 +301,7 @@ class FractureQuery:
         predictor = ALIASES.get(predictor, predictor)
         if predictor not in PREDICTORS:
             raise FracsimError(f"unknown predictor {predictor!r}; use one of {', '.join(PREDICTORS)}")
-        if predictor == "simulator" and self.baked_from.simulator != "modal":
+        if predictor == "simulator" and not self.baked_from.driven_by_impact_field:
             raise FracsimError(
                 f"{self.name}: was baked from a simulator that it does not carry ({self.baked_from.simulator}); "
                 f"use the predictor 'field' or 'interfaces'"

@@ -90,7 +90,7 @@ def save_checkpoint(path: Path, identity: str, checkpoint: Checkpoint) -> None:
         "scaler": checkpoint.scaler,
     }
     packed = {name: value.detach().contiguous() for name, value in tensors.items()}
-    write_beside(path, save(packed, metadata={"fracsim_checkpoint": json.dumps(header)}))
+    write_beside(path, save(packed, metadata={"fracsim_checkpoint": json.dumps(header)}), ModelError)
 
 
 def load_checkpoint(path: Path, identity: str) -> Checkpoint:

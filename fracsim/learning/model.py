@@ -188,7 +188,7 @@ def save_model(model: Model, path: str | Path, metadata: dict[str, Any] | None =
     arrays, numbers = model.state()
     header = {"format": FORMAT, "kind": model.kind, "numbers": numbers, "metadata": metadata or {}}
     packed = {name: np.ascontiguousarray(value) for name, value in arrays.items()}
-    write_beside(Path(path), save(packed, metadata={"fracsim_model": json.dumps(header, sort_keys=True)}))
+    write_beside(Path(path), save(packed, metadata={"fracsim_model": json.dumps(header, sort_keys=True)}), ModelError)
 
 
 def load_model(path: str | Path, body: BodyGeometry) -> tuple[Model, dict[str, Any]]:

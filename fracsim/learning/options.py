@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from ..common.errors import MissingExtraError, ModelError
+from ..common.options import option_from_text, option_types
 
 try:
     import torch
@@ -142,8 +143,8 @@ def with_training(options: Options, values: Mapping[str, Any]) -> Options:
     (64, 100, None)
     """
     training = training_of(options)
-    fields_of_its_own = [name for name in _types(type(options)) if name != "training"]
-    trained = list(_types(TrainingOptions))
+    fields_of_its_own = [name for name in option_types(type(options)) if name != "training"]
+    trained = list(option_types(TrainingOptions))
     outer = {name: value for name, value in values.items() if name in fields_of_its_own}
     inner = {name: value for name, value in values.items() if name not in fields_of_its_own}
     if training is None and (refused := [name for name in inner if name in trained]):
@@ -183,31 +184,10 @@ def options_from(
         Where a name is unknown, or a text is not of its field's type.
     """
     options = options_type()
-    types = _types(TrainingOptions) if training_of(options) is not None else {}
-    types |= {name: value for name, value in _types(options_type).items() if name != "training"}
-    values = {name: _value(name, text, types[name]) if name in types else text for name, text in settings.items()}
+    types = option_types(TrainingOptions) if training_of(options) is not None else {}
+    types |= {name: value for name, value in option_types(options_type).items() if name != "training"}
+    values = {
+        name: option_from_text(name, text, types[name], ModelError) if name in types else text
+        for name, text in settings.items()
+    }
     return with_training(options, {**(training or {}), **values})
-
-
-def _types(options_type: type[Any]) -> dict[str, Any]:
-    assert is_dataclass(options_type)
-    hints = typing.get_type_hints(options_type)
-    return {field.name: hints[field.name] for field in fields(options_type)}
-
-
-def _value(name: str, text: str, kind: Any) -> Any:
-    kinds = typing.get_args(kind) or (kind,)
-    if type(None) in kinds and text.lower() == "none":
-        return None
-    if bool in kinds:
-        if text.lower() in ("true", "false"):
-            return text.lower() == "true"
-        raise ModelError(f"{name} must be true or false, got {text!r}")
-    for convert in (int, float, str):
-        if convert in kinds:
-            try:
-                return convert(text)
-            except ValueError:
-                continue
-    expected = " or ".join("none" if k is type(None) else k.__name__ for k in kinds)
-    raise ModelError(f"{name} must be of type {expected}, got {text!r}")

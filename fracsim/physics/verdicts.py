@@ -109,7 +109,7 @@ class Verdicts:
     def __init__(self, state: WorldState, last_step: LastStep, fatigue: float | None) -> None:
         self._state = state
         self._last_step = last_step
-        self._fatigue = fatigue
+        self.fatigue = fatigue
         self._warned: set[tuple[str, str]] = set()
 
     # What struck whom
@@ -239,8 +239,8 @@ class Verdicts:
             if fracture is not None and len(fracture.pieces) > 1:
                 timings = {"impulse": struck.elapsed, "fracture": 1e3 * (perf_counter() - start), "bodies": 0.0}
                 return Break(record, impulses, fracture, frozenset(impact.other for impact in impacts), timings)
-        if self._fatigue is not None and record.recent_impacts:
-            self._weaken(record, self._fatigue)
+        if self.fatigue is not None and record.recent_impacts:
+            self._weaken(record, self.fatigue)
         return None
 
     def _weaken(self, record: BodyRecord, exponent: float) -> None:

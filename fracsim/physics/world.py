@@ -122,6 +122,38 @@ class World:
         self._verdicts = Verdicts(self._state, self._last_step, exponent)
         self._replacement = Replacement(self._state, self._last_step, self._energy, self.settings)
 
+    # Its options
+
+    @property
+    def generations(self) -> int:
+        """How often what breaks may break again."""
+        return self.settings.generations
+
+    @property
+    def smallest(self) -> float:
+        """Share of the whole object's volume below which a piece breaks no more."""
+        return self.settings.smallest
+
+    @property
+    def budget(self) -> int | None:
+        """Number of pieces that there may be; None for any number."""
+        return self.settings.budget
+
+    @property
+    def fatigue(self) -> float | None:
+        """Exponent of Miner's rule; None for no fatigue."""
+        return self._verdicts.fatigue
+
+    @property
+    def decomposition(self) -> str:
+        """Where the convex parts of pieces come from."""
+        return self.settings.decomposition
+
+    @property
+    def refine_after(self) -> float:
+        """Time after a break at which finer convex parts take over, s."""
+        return self.settings.refine_after
+
     # A step
 
     def step(self) -> list[FractureEvent]:

@@ -5,12 +5,14 @@ Datasets, studies and baking come in here; no simulator is known by its name in 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from ..common.errors import BakeError, MissingExtraError
+from ..common.options import option_from_text, option_types
 from ..solids.surface import Surface
 from . import SIMULATORS, simulator_class
 from .base import FractureSimulator, Progress, no_progress
@@ -89,6 +91,34 @@ def options_for(name: str = "modal", **values: Any) -> SimulatorOptions:
         if option not in known:
             raise BakeError(f"simulator {name!r} has no option {option!r}; it has {', '.join(known)}")
     return kind(name=name, **values)
+
+
+def options_from(name: str, texts: Mapping[str, str]) -> dict[str, Any]:
+    """Read options of a registered simulator that are given as text.
+
+    Parameters
+    ----------
+    name : str
+        The simulator's.
+    texts : mapping of str to str
+        Values as somebody wrote them, by the names of the options.
+
+    Returns
+    -------
+    dict
+        The values, as `options_for` takes them.
+
+    Raises
+    ------
+    BakeError
+        If no simulator has that name, it has no such option, or a text is no such value.
+    """
+    types = option_types(simulator_class(name).options_type)
+    for option in texts:
+        if option not in types or option == "name":
+            known = ", ".join(known for known in types if known != "name")
+            raise BakeError(f"simulator {name!r} has no option {option!r}; it has {known}")
+    return {option: option_from_text(option, text, types[option], BakeError) for option, text in texts.items()}
 
 
 def make_simulator(

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ..common.errors import ModelError
+from ..common.errors import BakeError, ModelError
 from ..learning import MODELS
 from ..learning.options import with_training
-from ..simulators.registry import SimulatorOptions
+from ..simulators.registry import SimulatorOptions, options_for
 
 UNLEARNED = ("simulator", "precomputed")  # kinds of rows that nothing is learned for
 
@@ -153,11 +153,13 @@ def read_plan(path: str | Path) -> Plan:
         plan = Plan(
             tuple(replace(m, file=str((path.parent / m.file).resolve())) for m in meshes),
             models,
-            SimulatorOptions(**document.pop("simulator", {})),
+            options_for(**document.pop("simulator", {})),
             int(document.pop("seed", 0)),
             tuple(document.pop("published", ())),
             tuple(str((path.parent / study).resolve()) for study in document.pop("studies", ())),
         )
+    except BakeError as error:
+        raise ModelError(f"{path}: {error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: not a plan ({error})") from error
     if document:

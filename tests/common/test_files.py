@@ -38,7 +38,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_names_the_fault(tmp_path, mo
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(fracsim.AssetError, match="nowhere does not exist"):
+    with pytest.raises(fracsim.FracsimError, match="nowhere does not exist"):
         write_beside(tmp_path / "nowhere" / "file", b"")
 
 

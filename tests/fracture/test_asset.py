@@ -339,7 +339,10 @@ def test_an_asset_of_an_earlier_format_is_refused_with_the_way_out(tmp_path):
         ("offset", [0, 0]),
         ("material", {"name": "ceramic"}),
         ("material", {**fracsim.Material("x", 1, 1, 1, 1, 1).to_dict(), "restitution": 5}),
-        ("baked_from", {"simulator": "modal", "min_severity": "low", "typical_severity": 1.0}),
+        (
+            "baked_from",
+            {"simulator": "modal", "min_severity": "low", "typical_severity": 1.0, "driven_by_impact_field": True},
+        ),
         ("metadata", []),
     ],
 )

@@ -171,6 +171,11 @@ def test_time_can_be_the_budget():
     assert figures["steps"] == len(line.seen) > 0
 
 
+def test_a_checkpoint_that_cannot_be_written_is_a_model_error(tmp_path):
+    with pytest.raises(ModelError, match="folder does not exist"):
+        train(Line(), OPTIONS, 3, Run(tmp_path / "nowhere" / "c.safetensors", every=0.0))
+
+
 def test_a_checkpoint_of_something_else_is_not_taken(tmp_path):
     path = tmp_path / "c.safetensors"
     train(Line(), OPTIONS, 3, Run(path, resume=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pybullet as p
@@ -34,6 +35,7 @@ def test_a_client_is_an_integer_or_a_bullet_client_and_nothing_else(client):
     wrapped = BulletClient(p.DIRECT)
     assert client_id(wrapped) == wrapped._client
     fracsim.World(wrapped)
+    assert client_id(SimpleNamespace(_client=client)) == client  # panda-gym and others wrap a client of their own
     for thing in (True, None, "0", 1.0, object(), p):
         with pytest.raises(fracsim.PhysicsError, match=r"the integer that pybullet\.connect returns"):
             client_id(thing)

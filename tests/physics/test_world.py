@@ -406,3 +406,11 @@ def test_the_time_of_the_engine_s_own_step_is_told_when_asked_for(client, monkey
     begin = time.perf_counter()
     world.step()
     assert 0.02 <= world.engine_seconds <= time.perf_counter() - begin
+
+
+def test_a_world_tells_its_options_and_does_not_take_others_in_silence(client):
+    world = fracsim.World(client, generations=2, smallest=0.1, budget=5, fatigue=2.0, refine_after=0.25)
+    options = (world.generations, world.smallest, world.budget, world.fatigue, world.decomposition, world.refine_after)
+    assert options == (2, 0.1, 5, 2.0, "baked", 0.25)
+    with pytest.raises(AttributeError):
+        world.budget = 7

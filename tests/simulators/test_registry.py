@@ -12,6 +12,7 @@ import trimesh
 
 import fracsim
 from fracsim import simulators
+from fracsim.baking import BakeOptions
 from fracsim.cli.main import main
 from fracsim.data.dataset import Dataset
 from fracsim.fracture.rule import components, separated
@@ -21,6 +22,7 @@ from fracsim.simulators.registry import SimulatorOptions, make_simulator, option
 from fracsim.solids.cut import cut_lattice
 from fracsim.solids.solid import Solid, relabel
 from fracsim.solids.surface import Surface, read_surface
+from fracsim.study.plan import read_plan
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,33 @@ def test_options_of_a_simulator_are_its_own(slicer, mesh):
     assert len(made.cells.volumes) == 6
     middle = make_simulator(read_surface(mesh), options_for(slicer, cells=200, slices=2), 0)
     assert separated(np.arange(2), interfaces_between(middle.cells).pairs).tolist() == [True]
+
+
+def test_a_users_simulator_has_its_own_options_on_the_command_line_in_a_bake_and_in_a_plan(
+    slicer, mesh, tmp_path, capsys
+):
+    out = tmp_path / "bar.h5"
+    sizes = ["--cells", "200", "--samples", "10", "--quiet"]
+    make = ["dataset", "make", str(mesh), "--out", str(out), "--simulator", slicer, *sizes]
+    assert main([*make, "--set", "slices=3"]) == 0
+    with Dataset(out) as dataset:
+        assert dataset.header["simulator"]["slices"] == 3
+    for text, fault in (("slices=three", "slices must be of type int"), ("cuts=3", "no option 'cuts'"), ("3", "NAME=")):
+        assert main([*make, "--set", text]) == 2
+        assert fault in capsys.readouterr().err
+    assert main(["dataset", "make", "--like", str(out), "--out", str(tmp_path / "x.h5"), "--set", "slices=3"]) == 2
+
+    assert BakeOptions(simulator=slicer, simulator_settings={"slices": 4}).simulator_options.slices == 4
+    with pytest.raises(fracsim.BakeError, match="no option 'cuts'"):
+        BakeOptions(simulator=slicer, simulator_settings={"cuts": 4})
+
+    plan = tmp_path / "plan.toml"
+    lines = ["[simulator]", f'name = "{slicer}"', "slices = 5", "[[meshes]]", 'name = "bar"', 'file = "bar.obj"']
+    plan.write_text("\n".join([*lines, "[[models]]", 'name = "near"', 'kind = "nearest"']))
+    assert read_plan(plan).simulator.slices == 5
+    plan.write_text(plan.read_text().replace("slices", "cuts"))
+    with pytest.raises(fracsim.ModelError, match=r"plan\.toml: .*no option 'cuts'"):
+        read_plan(plan)
 
 
 def test_a_taken_name_and_a_class_that_lacks_something_are_refused():
