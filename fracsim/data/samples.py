@@ -270,7 +270,7 @@ def checked(simulator: FractureSimulator, impacts: Impacts, thresholds: FloatArr
 
 
 def sampling_rules() -> dict[str, Any]:
-    """Lay down how samples are drawn; files drawn by other rules are read but not gone on with.
+    """Lay down how samples are drawn; files drawn by other rules are read but not extended.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Making datasets: new files, files that are gone on with, damaged files that are mended, and files made again.
+"""Making datasets: new files, existing files to extend, damaged files to mend, and files made again.
 
 The command line, evaluation and users come in by ``make_dataset`` and ``regenerate``. What a simulator needs to answer
 again is kept through its ``state`` and ``restore``; no simulator is known by its name here.
@@ -187,7 +187,7 @@ def _gone_on_with(
     simulator: FractureSimulator | None,
     total: int,
 ) -> tuple[FractureSimulator, int]:
-    """Check and mend a file that is gone on with; returns its simulator and the samples that it shall hold."""
+    """Check and mend a file to extend; returns its simulator and the number of samples that it shall hold."""
     with Dataset(path) as there:
         if simulator is None and there.header["simulator"]["name"] == UNREGISTERED:
             raise DatasetError(

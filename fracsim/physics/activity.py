@@ -99,7 +99,7 @@ class Activity:
         record : BodyRecord
             The body.
         suspect_next : bool
-            Whether it is a suspect after the next step, whatever it does in it.
+            Whether it is a suspect after the next step.
         """
         if record in self._unobserved:
             self._unobserved.remove(record)

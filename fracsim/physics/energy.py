@@ -294,7 +294,7 @@ class EnergyBalance:
         self._guards = [guard for guard in self._guards if bodies.isdisjoint(body.id for body in guard.bodies)]
 
     def exchange(self, old: Body, new: Body) -> None:
-        """Let a piece that was made anew take the place of the old one of the same id; its guard ends.
+        """Let a piece that was made anew take the place of the old one of the same id.
 
         Parameters
         ----------
@@ -319,7 +319,7 @@ class EnergyBalance:
             Those of `running`, before the step.
         """
         for guard in guards:
-            if guard in self._guards:  # otherwise its bodies live the step anew
+            if guard in self._guards:  # otherwise its bodies go through the step again
                 self._settle_guard(guard)
         for dissipation in dissipations:
             self._settle_dissipation(dissipation)

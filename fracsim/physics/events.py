@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FractureEvent:
-    """A body that broke, or held when it was told to break.
+    """A body that broke, or that held although `World.fracture` was called on it.
 
     Attributes
     ----------

@@ -59,7 +59,7 @@ class Replacement:
         self._energy = energy
         self._refinements: list[Refinement] = []
         self._relived = NO_IMPACTS
-        self._relived_in = 0  # the step that lives them again
+        self._relived_in = 0  # the step that goes through them again
         self._renamed: dict[int, int] = {}  # constraints that went over to pieces: old id to new id
 
     @property

@@ -79,7 +79,7 @@ def clip_apart(
     gap: float = GAP,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[list[FloatArray]]:
-    """Cut convex parts that there are already until those of different solids keep a gap.
+    """Cut existing convex parts until those of different solids keep a gap.
 
     Parameters
     ----------
