@@ -103,9 +103,12 @@ def _add_impact(parser: argparse.ArgumentParser) -> None:
 def bake(options: argparse.Namespace) -> dict[str, Any]:
     """Run ``fracsim bake``."""
     from ..baking import BakeOptions, bake, model_for
+    from ..fracture.file import SUFFIX
     from ..simulators.registry import options_from
 
-    out = require_file(options.out or Path(options.mesh.stem + ".frac"))
+    out = require_file(options.out or Path(options.mesh.stem + SUFFIX))
+    if out.suffix != SUFFIX:
+        raise FracsimError(f"{out}: an asset's file must end in {SUFFIX}, so that it replaces nothing else")
     learning = model_for(options.simulator)
     learning = replace(learning, training=replace(learning.training, steps=options.steps))
     asset = bake(

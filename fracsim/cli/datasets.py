@@ -57,7 +57,9 @@ def add_make(parser: argparse.ArgumentParser) -> None:
 def add_info(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fracsim dataset info``."""
     parser.add_argument("dataset", type=Path, help="a file that fracsim dataset make wrote")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the picture (default: the dataset's name with .png)")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="the picture (default: the dataset's name with _samples.png)"
+    )
     add_seed(parser, "seed that chooses the samples in the picture")
     add_common(parser)
     parser.set_defaults(run=info, check_out=require_file)
@@ -114,7 +116,7 @@ def info(options: argparse.Namespace) -> dict[str, Any]:
     """Run ``fracsim dataset info``."""
     from ..study.view import picture_sheet
 
-    out = require_file(options.out or options.dataset.with_suffix(".png"))
+    out = require_file(options.out or options.dataset.with_name(f"{options.dataset.stem}_samples.png"))
     if options.dataset.resolve() in (out.resolve(), options.json and options.json.resolve()):
         raise DatasetError(f"{options.dataset}: would be overwritten; name another file with --out or --json")
     figures = describe(options.dataset)

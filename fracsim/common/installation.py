@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 DISTRIBUTION = "fracsim-pybullet"  # as pip knows it; the import and the command are called fracsim
+CONSTRAINTS = "constraints.txt"  # of a checkout
 
 
 def install_command(extra: str) -> str:
@@ -30,7 +31,9 @@ def install_command(extra: str) -> str:
     """
     checkout = Path(__file__).resolve().parents[2]
     if _is_checkout(checkout):
-        return f'pip install -e "{checkout}[{extra}]"'
+        # The constraints pin PyTorch; an unpinned one may bring gigabytes of CUDA.
+        pinned = f'-c "{checkout / CONSTRAINTS}" ' if (checkout / CONSTRAINTS).is_file() else ""
+        return f'pip install {pinned}-e "{checkout}[{extra}]"'
     source = _recorded_source()
     if source is None:
         return f'pip install "{DISTRIBUTION}[{extra}]"'

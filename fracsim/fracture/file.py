@@ -28,7 +28,7 @@ from .predictor import FieldWeights
 
 FORMAT = 3
 SUFFIX = ".frac"
-BAKE_AGAIN = "bake it again with: fracsim bake"
+BAKE_AGAIN = "bake it again with: fracsim bake MESH --out FILE.frac"
 UNSIGNED = b"00000000"  # stands for the checksum where the checksum itself is computed
 CHECKSUM = re.compile(rb'\\"checksum\\": \\"([0-9a-f]{8})\\"')  # as it stands in the file: JSON within JSON
 
@@ -77,6 +77,8 @@ def read_source(source: str | os.PathLike[str]) -> tuple[bytes, str]:
             names = sorted(item.name[: -len(SUFFIX)] for item in shipped.iterdir() if item.name.endswith(SUFFIX))
             raise AssetError(f"{source}: no such asset; those that ship are {', '.join(names)}; or give a file")
         return entry.read_bytes(), str(source)
+    if path.is_dir():
+        raise AssetError(f"{path}: is a folder; name a file in it")
     if not path.is_file():
         raise AssetError(f"{path}: no such file")
     try:

@@ -81,12 +81,33 @@ def simulator_class(name: str) -> type[RegisteredSimulator]:
         If what its module needs is not installed.
     """
     if name not in SIMULATORS:
-        raise BakeError(f"unknown simulator {name!r}; use {' or '.join(SIMULATORS)}, or register your own")
+        raise BakeError(
+            f"unknown simulator {name!r}; use {' or '.join(SIMULATORS)}, or register your own (on a command line: fracsim --import MODULE ...)"
+        )
     entry = SIMULATORS[name]
     if isinstance(entry, str):
         entry = _complete(name, class_at(entry, f"simulator {name!r}", BakeError))
         SIMULATORS[name] = entry
     return entry
+
+
+def unknown_simulator(name: object) -> BakeError:
+    """Make the error for a name that no simulator has.
+
+    Parameters
+    ----------
+    name : object
+        What somebody gave.
+
+    Returns
+    -------
+    BakeError
+        It lists the names that there are, and how to add one.
+    """
+    known = " or ".join(SIMULATORS)
+    return BakeError(
+        f"unknown simulator {name!r}; use {known}, or register your own (on a command line: fracsim --import MODULE ...)"
+    )
 
 
 def _complete(name: str, cls: Any) -> type[RegisteredSimulator]:

@@ -16,8 +16,10 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_a_checkout_is_installed_from_where_it_lies():
-    assert installation.install_command("bake") == f'pip install -e "{ROOT}[bake]"'
-    assert str(fracsim.MissingExtraError("coacd", "bake")).endswith(f'comes with: pip install -e "{ROOT}[bake]"')
+    assert installation.install_command("bake") == f'pip install -c "{ROOT}/constraints.txt" -e "{ROOT}[bake]"'
+    assert str(fracsim.MissingExtraError("coacd", "bake")).endswith(
+        f'comes with: pip install -c "{ROOT}/constraints.txt" -e "{ROOT}[bake]"'
+    )
 
 
 @pytest.mark.parametrize(

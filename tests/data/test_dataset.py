@@ -588,7 +588,7 @@ def test_the_command_line_makes_appends_describes_and_draws(tmp_path, capsys):
     assert main(["dataset", "info", str(out), "--json", str(tmp_path / "i.json")]) == 0
     assert json.loads((tmp_path / "i.json").read_text())["counts"]["samples"] == 500
     # Pieces are blue first, fields go from violet at a crack to yellow far from it.
-    hue, saturation, _ = rgb_to_hsv(imread(tmp_path / "d.png")[..., :3]).transpose(2, 0, 1)
+    hue, saturation, _ = rgb_to_hsv(imread(tmp_path / "d_samples.png")[..., :3]).transpose(2, 0, 1)
     drawn = hue[saturation > 0.3]
     assert drawn.size > 0.05 * hue.size
     for low, high in ((0.5, 0.62), (0.68, 0.85), (0.12, 0.2)):
