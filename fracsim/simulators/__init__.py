@@ -81,9 +81,7 @@ def simulator_class(name: str) -> type[RegisteredSimulator]:
         If what its module needs is not installed.
     """
     if name not in SIMULATORS:
-        raise BakeError(
-            f"unknown simulator {name!r}; use {' or '.join(SIMULATORS)}, or register your own (on a command line: fracsim --import MODULE ...)"
-        )
+        raise unknown_simulator(name)
     entry = SIMULATORS[name]
     if isinstance(entry, str):
         entry = _complete(name, class_at(entry, f"simulator {name!r}", BakeError))
@@ -106,7 +104,8 @@ def unknown_simulator(name: object) -> BakeError:
     """
     known = " or ".join(SIMULATORS)
     return BakeError(
-        f"unknown simulator {name!r}; use {known}, or register your own (on a command line: fracsim --import MODULE ...)"
+        f"unknown simulator {name!r}; use {known}, or register your own; "
+        "on a command line, fracsim --import MODULE loads the module that does so"
     )
 
 

@@ -55,9 +55,7 @@ class SimulatorOptions:
 
     def __post_init__(self) -> None:
         if self.name not in SIMULATORS:
-            raise BakeError(
-                f"unknown simulator {self.name!r}; use {' or '.join(SIMULATORS)}, or register your own (on a command line: fracsim --import MODULE ...)"
-            )
+            raise unknown_simulator(self.name)
         for name, value, limit in (("cells", self.cells, LEAST_CELLS), ("modes", self.modes, 0)):
             if not (isinstance(value, int) and value >= limit):
                 raise BakeError(f"{name} must be a whole number and at least {limit}, got {value}")
