@@ -14,7 +14,7 @@ import numpy as np
 from ..common.errors import BakeError, MissingExtraError
 from ..common.options import option_from_text, option_types
 from ..solids.surface import Surface
-from . import SIMULATORS, simulator_class
+from . import SIMULATORS, simulator_class, unknown_simulator
 from .base import FractureSimulator, Progress, no_progress
 
 try:
