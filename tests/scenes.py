@@ -157,3 +157,26 @@ def mechanics(client, bodies):
 
 def tilted():
     return p.getQuaternionFromEuler((0.4, -0.7, 1.1))
+
+
+def sliding_arm(client, position):
+    """A post of 3 kg on a slide along x, whose motor drives it at 4 m/s."""
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.05, 0.05, 0.5), physicsClientId=client)
+    arm = p.createMultiBody(
+        0,
+        basePosition=position,
+        linkMasses=[3.0],
+        linkCollisionShapeIndices=[shape],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[(0, 0, 0)],
+        linkOrientations=[(0, 0, 0, 1)],
+        linkInertialFramePositions=[(0, 0, 0)],
+        linkInertialFrameOrientations=[(0, 0, 0, 1)],
+        linkParentIndices=[0],
+        linkJointTypes=[p.JOINT_PRISMATIC],
+        linkJointAxis=[(1, 0, 0)],
+        physicsClientId=client,
+    )
+    p.resetJointState(arm, 0, 0.0, 4.0, physicsClientId=client)
+    p.setJointMotorControl2(arm, 0, p.VELOCITY_CONTROL, targetVelocity=4.0, force=1e4, physicsClientId=client)
+    return arm

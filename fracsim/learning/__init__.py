@@ -25,7 +25,7 @@ MODELS: dict[str, str | type[Model]] = {
 }
 # What is looked up in every class; ``model.Model`` says what each is, and has defaults for most.
 REQUIRED = (
-    *("kind", "options_type", "search_space", "cost", "slow", "fits_many"),
+    *("kind", "options_type", "search_space", "cost", "slow", "fit_many", "on"),
     *("fit", "predict", "predict_labels", "predict_nodes", "state", "restore"),
 )
 

@@ -77,8 +77,6 @@ class Model(Predictor, Protocol):
         How tuning weighs its error against its time.
     slow : bool
         Whether an evaluation asks it about fewer impulses, because an answer takes long.
-    fits_many : bool
-        Whether it has ``fit_many`` and ``on``.
     """
 
     kind: ClassVar[str]
@@ -86,7 +84,6 @@ class Model(Predictor, Protocol):
     search_space: ClassVar[Mapping[str, Range]] = {}
     cost: ClassVar[Cost] = Cost()
     slow: ClassVar[bool] = False
-    fits_many: ClassVar[bool] = False
 
     @classmethod
     def fit(
@@ -123,11 +120,11 @@ class Model(Predictor, Protocol):
     def fit_many(
         cls, bodies: Sequence[tuple[BodyGeometry, Samples]], options: Any, seed: int, run: Run | None = None
     ) -> tuple[Self, dict[str, float]]:
-        """Learn from several bodies at once; the model returned is of the first. See ``fits_many``."""
+        """Learn from several bodies at once; the model returned is of the first. Few models can."""
         raise ModelError(f"{cls.__name__}: learns from one body only")
 
     def on(self, body: BodyGeometry) -> Self:
-        """Take the same model to another body. See ``fits_many``."""
+        """Take the same model to another body. A model that has ``fit_many`` can."""
         raise ModelError(f"{type(self).__name__}: is of one body only")
 
     def state(self) -> tuple[dict[str, npt.NDArray[Any]], dict[str, Any]]:

@@ -197,7 +197,6 @@ class SharedField(FieldModel):
         "eigenfunctions": Range(24, 192, log=True),
         "rate": Range(3e-3, 1e-1, log=True),
     }
-    fits_many: ClassVar[bool] = True
     numbers: Mapping[str, npt.NDArray[np.float32]]
     options: SharedOptions
 

@@ -9,7 +9,7 @@ import pybullet as p
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scenes import HARD, SlabBox, ball, floor, mechanics
+from scenes import HARD, SlabBox, ball, floor, mechanics, sliding_arm
 from scipy.spatial.transform import Rotation
 
 import fracsim
@@ -100,24 +100,7 @@ def test_bystanders_are_not_stepped_twice(client):
 
 
 def test_an_arm_goes_back_with_its_joints_and_moves_on(client):
-    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.05, 0.05, 0.5), physicsClientId=client)
-    arm = p.createMultiBody(
-        0,
-        basePosition=(-0.4, 0.5, 0.5),
-        linkMasses=[3.0],
-        linkCollisionShapeIndices=[shape],
-        linkVisualShapeIndices=[-1],
-        linkPositions=[(0, 0, 0)],
-        linkOrientations=[(0, 0, 0, 1)],
-        linkInertialFramePositions=[(0, 0, 0)],
-        linkInertialFrameOrientations=[(0, 0, 0, 1)],
-        linkParentIndices=[0],
-        linkJointTypes=[p.JOINT_PRISMATIC],
-        linkJointAxis=[(1, 0, 0)],
-        physicsClientId=client,
-    )
-    p.resetJointState(arm, 0, 0.0, 4.0, physicsClientId=client)
-    p.setJointMotorControl2(arm, 0, p.VELOCITY_CONTROL, targetVelocity=4.0, force=1e4, physicsClientId=client)
+    arm = sliding_arm(client, (-0.4, 0.5, 0.5))
     world = fracsim.World(client)
     world.add(SlabBox())
     while True:

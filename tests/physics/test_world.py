@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pybullet as p
 import pytest
-from scenes import HARD, SlabBox, ball, floor, mechanics, tilted
+from scenes import HARD, SlabBox, ball, floor, mechanics, sliding_arm, tilted
 
 import fracsim
 from fracsim.physics.impacts import ContactImpulse
@@ -243,24 +243,7 @@ def test_a_still_body_notices_what_flies_at_it(client):
 
 
 def test_a_link_of_a_moving_arm_breaks_what_it_hits(client):
-    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(0.05, 0.05, 0.5), physicsClientId=client)
-    arm = p.createMultiBody(
-        0,
-        basePosition=(-1.0, 0.5, 0.5),
-        linkMasses=[3.0],
-        linkCollisionShapeIndices=[shape],
-        linkVisualShapeIndices=[-1],
-        linkPositions=[(0, 0, 0)],
-        linkOrientations=[(0, 0, 0, 1)],
-        linkInertialFramePositions=[(0, 0, 0)],
-        linkInertialFrameOrientations=[(0, 0, 0, 1)],
-        linkParentIndices=[0],
-        linkJointTypes=[p.JOINT_PRISMATIC],
-        linkJointAxis=[(1, 0, 0)],
-        physicsClientId=client,
-    )
-    p.resetJointState(arm, 0, 0.0, 4.0, physicsClientId=client)
-    p.setJointMotorControl2(arm, 0, p.VELOCITY_CONTROL, targetVelocity=4.0, force=1e4, physicsClientId=client)
+    arm = sliding_arm(client, (-1.0, 0.5, 0.5))
     world = fracsim.World(client)
     world.add(SlabBox())
     hits = []
