@@ -153,7 +153,7 @@ def _checksum_place(data: bytes) -> tuple[int, int] | None:
 def _checksum(data: bytes, place: tuple[int, int]) -> bytes:
     """Compute the CRC-32 of all bytes of a file, those of the checksum itself counted as zeros.
 
-    It finds every single flipped bit, and takes 1.2 ms for 4.7 MB where BLAKE2 takes 7 and SHA-256 takes 4.
+    It finds every single flipped bit. It guards against damage, not forgery, so it needs no slower cryptographic hash.
     """
     view = memoryview(data)
     value = zlib.crc32(view[place[1] :], zlib.crc32(UNSIGNED, zlib.crc32(view[: place[0]])))

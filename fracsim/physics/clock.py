@@ -9,8 +9,8 @@ from .bullet import Engine
 from .impacts import impact_speed_threshold
 from .states import Triple
 
-# Steps after which a change of the time step or of gravity is noticed at the latest. Reading them in every step would
-# cost a tenth of what a quiet step does.
+# Steps after which a change of the time step or of gravity is noticed at the latest. Reading them in every step
+# would be one more call of the engine in steps in which nothing happens.
 STEPS_BETWEEN_READINGS = 8
 
 
