@@ -19,6 +19,7 @@ from .solid import Solid, merge_small_regions, relabel, shared_faces, sum_by_ind
 from .surface import Surface
 
 TRIES = 8  # lattices tried before a surface is called impossible; one has been enough for every surface so far
+SIZE_RATIO = 1.3  # between tetrahedra that are searched for together
 SLIVER = 0.1  # of a whole tetrahedron; smaller cells are joined to the neighbour they share most area with
 
 
@@ -87,9 +88,12 @@ def _pierces(points: FloatArray, segment: IntArray, triangle: IntArray) -> npt.N
     """Decide which segments pass through their triangles."""
     p, q = segment.T
     a, b, c = triangle.T
-    opposite = (_orient(points, a, b, c, p) > 0) != (_orient(points, a, b, c, q) > 0)
+    result = (_orient(points, a, b, c, p) > 0) != (_orient(points, a, b, c, q) > 0)
+    # Few segments have their ends on both sides of the plane; only of these the line's side of each edge is asked for.
+    p, q, a, b, c = (column[result] for column in (p, q, a, b, c))
     ab, bc, ca = (_orient(points, p, q, x, y) > 0 for x, y in ((a, b), (b, c), (c, a)))
-    return opposite & (ab == bc) & (bc == ca)
+    result[result] = (ab == bc) & (bc == ca)
+    return result
 
 
 def _crossing(points: FloatArray, segment: IntArray, triangle: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -106,10 +110,16 @@ def _candidates(vertices: FloatArray, faces: IntArray, points: FloatArray, tetra
     triangles, tets = vertices[faces], points[tetrahedra]
     middle, centre = triangles.mean(axis=1), tets.mean(axis=1)
     reach = np.linalg.norm(triangles - middle[:, None], axis=2).max(axis=1)
-    radius = np.linalg.norm(tets - centre[:, None], axis=2).max()
-    near = cKDTree(centre).query_ball_point(middle, reach + radius, return_sorted=True)
-    face = np.repeat(np.arange(len(faces)), [len(row) for row in near])
-    tet = np.concatenate([np.asarray(row, dtype=np.int64) for row in near])
+    radius = np.linalg.norm(tets - centre[:, None], axis=2).max(axis=1)
+    # Tetrahedra of one size at a time, as a search must reach as far as the largest in it.
+    size = np.floor(np.log(radius / radius.max()) / np.log(SIZE_RATIO))
+    blocks = []
+    for one_size in np.unique(size):
+        chosen = np.flatnonzero(size == one_size)
+        near = cKDTree(centre[chosen]).query_ball_point(middle, reach + radius[chosen].max(), return_sorted=False)
+        lengths = [len(row) for row in near]
+        blocks.append((np.repeat(np.arange(len(faces)), lengths), chosen[np.concatenate(near).astype(np.int64)]))
+    face, tet = (np.concatenate(column) for column in zip(*blocks, strict=True))
     # A box that misses, or a tetrahedron wholly on one side of the face's plane, cannot meet.
     overlap = (triangles.min(axis=1)[face] <= tets.max(axis=1)[tet]).all(axis=1)
     overlap &= (triangles.max(axis=1)[face] >= tets.min(axis=1)[tet]).all(axis=1)
@@ -122,7 +132,8 @@ def _candidates(vertices: FloatArray, faces: IntArray, points: FloatArray, tetra
 
 def _pairs(left: IntArray, right: IntArray, width: int) -> tuple[IntArray, IntArray]:
     """Make pairs of the two arrays unique, ordered by ``left * width + right``."""
-    keys = np.unique(left.astype(np.int64) * width + right)
+    keys = np.sort(left.astype(np.int64) * width + right)
+    keys = keys[np.diff(keys, prepend=-1) > 0]  # by sorting, several times faster than numpy's hashing here
     return keys // width, keys % width
 
 
