@@ -18,6 +18,8 @@ try:
 except ImportError as error:
     raise MissingExtraError("manifold3d", "bake") from error
 
+STRAIGHT = 1e-6  # rad; two edges that turn by less are one: far above rounding, far below what can be seen
+
 
 def boundary_loops(points: FloatArray, start: IntArray, end: IntArray, frame: FloatArray) -> list[list[int]]:
     """Chain directed planar edges into closed loops, with the region to their left.
@@ -104,7 +106,7 @@ def triangulate_polygon(
     return np.concatenate(loops)[np.asarray(manifold3d.triangulate(flat)).astype(np.int64)]
 
 
-def coarsen(solid: Solid, surface: Surface) -> Solid:
+def coarsen(solid: Solid, surface: Surface, plane: IntArray | None = None) -> Solid:
     """Undo the lattice's marks on the outer faces wherever no inner triangle needs them.
 
     Parameters
@@ -113,24 +115,58 @@ def coarsen(solid: Solid, surface: Surface) -> Solid:
         A union of cells of a cut lattice.
     surface : Surface
         What was cut.
+    plane : ndarray of int64, shape (M,), optional
+        A number of the plane that each inner triangle lies in, and anything for outer ones. Inner faces are then
+        triangulated again as well, and only what is a corner of theirs stays on the outside.
 
     Returns
     -------
     Solid
         Of the same cells. Each input face comes out as one polygon for each cell that it touches, triangulated again;
-        inner triangles stay, so the complex stays closed. Points that nothing uses are dropped; the surface's vertices
-        stay first.
+        inner triangles stay unless their planes are given, so the complex stays closed. Points that nothing uses are
+        dropped; the surface's vertices stay first.
     """
     inner = solid.source < 0
     needed = np.zeros(len(solid.points), dtype=bool)
     needed[: len(surface.vertices)] = True
-    needed[solid.triangles[inner]] = True
-    outer = solid.triangles[~inner]
-    cells = len(solid.volumes)
-    keys, group = np.unique(solid.source[~inner] * cells + solid.sides[~inner, 0], return_inverse=True)
-    # A group's rim: its directed edges without the pairs that cancel inside it.
-    start, end = outer.ravel(), outer[:, [1, 2, 0]].ravel()
-    owner = np.repeat(group.reshape(-1), 3)
+    faces = surface.vertices[surface.faces]
+    keys = np.column_stack([np.where(inner, -1, solid.source), solid.sides])
+    if plane is None:
+        again = np.flatnonzero(~inner)
+        needed[solid.triangles[inner]] = True
+    else:
+        keys[inner, 0] = -1 - plane[inner]
+        again = np.arange(len(inner))
+    rows, group = np.unique(keys[again], axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    triangles = solid.triangles[again]
+    # Three points of each polygon's plane: of the input face, or of the largest inner triangle.
+    corner = solid.points[triangles]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    largest = np.lexsort((-area, group))[np.searchsorted(np.sort(group), np.arange(len(rows)))]
+    corners = np.where((rows[:, 0] < 0)[:, None, None], corner[largest], faces[np.maximum(rows[:, 0], 0)])
+    start, end, owner = _rims(triangles, group)
+    if plane is not None:
+        needed |= _bends(solid.points, start, end)
+    cuts = np.searchsorted(owner, np.arange(len(rows) + 1))
+    blocks = [
+        triangulate_polygon(solid.points, start[low:high], end[low:high], corners[k], needed)
+        for k, (low, high) in enumerate(zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True))
+    ]
+    kept = np.setdiff1d(np.arange(len(inner)), again)
+    made = np.repeat(rows, [len(block) for block in blocks], axis=0)
+    triangles = np.vstack([*blocks, solid.triangles[kept]])
+    sides = np.vstack([made[:, 1:], solid.sides[kept]])
+    source = np.concatenate([np.maximum(made[:, 0], -1), solid.source[kept]])
+    needed[triangles] = True
+    rank = np.cumsum(needed) - 1
+    return Solid(solid.points[needed], rank[triangles], sides, source, solid.volumes, solid.centroids)
+
+
+def _rims(triangles: IntArray, group: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """List the directed edges around each group of triangles, without the pairs that cancel inside it, by group."""
+    start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    owner = np.repeat(group, 3)
     edge = np.column_stack([np.maximum(start, end), np.minimum(start, end), owner])
     order = np.lexsort(edge.T)
     same = (edge[order][1:] == edge[order][:-1]).all(axis=1)
@@ -138,15 +174,20 @@ def coarsen(solid: Solid, surface: Surface) -> Solid:
     rim[order[1:][same]] = rim[order[:-1][same]] = False
     start, end, owner = start[rim], end[rim], owner[rim]
     order = np.argsort(owner, kind="stable")
-    start, end = start[order], end[order]
-    cuts = np.searchsorted(owner[order], np.arange(len(keys) + 1))
-    blocks = []
-    for key, low, high in zip(keys.tolist(), cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
-        corners = surface.vertices[surface.faces[key // cells]]
-        blocks.append(triangulate_polygon(solid.points, start[low:high], end[low:high], corners, needed))
-    repeat = np.repeat(keys, [len(block) for block in blocks])
-    triangles = np.vstack([*blocks, solid.triangles[inner]])
-    sides = np.vstack([np.column_stack([repeat % cells, np.full(len(repeat), -1)]), solid.sides[inner]])
-    source = np.concatenate([repeat // cells, solid.source[inner]])
-    rank = np.cumsum(needed) - 1
-    return Solid(solid.points[needed], rank[triangles], sides, source, solid.volumes, solid.centroids)
+    return start[order], end[order], owner[order]
+
+
+def _bends(points: FloatArray, start: IntArray, end: IntArray) -> npt.NDArray[np.bool_]:
+    """Mark the points, (P,), where rims branch or turn; a rim that runs straight through a point does not need it."""
+    edges = np.unique(np.sort(np.column_stack([start, end]), axis=1), axis=0)
+    ends, others = edges.ravel(), edges[:, ::-1].ravel()
+    order = np.argsort(ends, kind="stable")
+    degree = np.bincount(ends, minlength=len(points))
+    first = np.cumsum(degree) - degree
+    passed = np.flatnonzero(degree == 2)
+    before, after = (points[others[order[first[passed] + k]]] - points[passed] for k in (0, 1))
+    before /= np.linalg.norm(before, axis=1)[:, None]
+    after /= np.linalg.norm(after, axis=1)[:, None]
+    result = degree > 0
+    result[passed] = np.linalg.norm(before + after, axis=1) > STRAIGHT
+    return np.asarray(result)

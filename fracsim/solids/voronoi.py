@@ -27,6 +27,7 @@ GRADING = 0.5  # the power of the walls' thickness that the cells' size follows
 THICK = 1.25  # of a cell's size in a thick body: thinner walls get smaller cells; what is measured at any flat side
 THINNEST = 0.1  # of the thickness from which cells grow no more: thinner walls get no smaller cells
 SLIVER = 0.1  # of the volume that a cell should have at its place; smaller ones join a neighbour
+FLAT = 1e-9  # of the largest extent: how far from its plane a face's triangle may lie by rounding
 MARGIN = 1.3  # how much farther than any point of the body is from a seed the guards stay away from the body
 JITTER = 0.02  # of the distance between guards, or of a cell when seeds are tried again: keeps positions general
 
@@ -100,7 +101,7 @@ def voronoi_solid(surface: Surface, cells: int, rng: np.random.Generator) -> Sol
         except DegenerateCut as error:
             fault = str(error)
             continue
-        return coarsen(_join(parts, points, seeds.volumes), surface)
+        return _join(parts, points, seeds.volumes, surface)
     raise BakeError(
         f"{surface.name}: cannot be cut into Voronoi cells ({fault}); the surface probably runs through itself: "
         "repair it before baking"
@@ -223,7 +224,7 @@ def voronoi_tetrahedra(
     return points, tetrahedra
 
 
-def _join(parts: Solid, seeds: FloatArray, volumes: FloatArray) -> Solid:
+def _join(parts: Solid, seeds: FloatArray, volumes: FloatArray, surface: Surface) -> Solid:
     """Join the parts of tetrahedra to connected parts of Voronoi cells, and slivers to a neighbour."""
     # A Voronoi cell is convex, so the centroid of a part of it is nearest to its seed.
     _, seed = cKDTree(seeds).query(parts.centroids)
@@ -232,4 +233,15 @@ def _join(parts: Solid, seeds: FloatArray, volumes: FloatArray) -> Solid:
     graph = coo_matrix((np.ones(same.sum()), tuple(pairs[same].T)), shape=(parts.count, parts.count))
     _, cell = connected_components(graph, directed=False)
     label = merge_small_regions(parts.volumes / volumes[seed], pairs, areas, SLIVER, cell.astype(np.int64))
-    return relabel(parts, label)
+    cells = relabel(parts, label)
+    # The triangles that relabelling keeps, each with the plane between the two seeds on its sides.
+    ends = np.where(parts.sides >= 0, label[parts.sides], -1)
+    ends = np.sort(seed[parts.sides[ends[:, 0] != ends[:, 1]]], axis=1)
+    plane = ends[:, 0] * len(seeds) + ends[:, 1]
+    across = seeds[ends[:, 1]] - seeds[ends[:, 0]]
+    corner = cells.points[cells.triangles] - 0.5 * seeds[ends].sum(axis=1)[:, None]
+    height = np.abs(np.einsum("nki,ni->nk", corner, across)).max(axis=1)
+    # A triangle off that plane, beside a part so thin that rounding took it for the other seed's, stays as it is.
+    off = height > FLAT * np.linalg.norm(across, axis=1)
+    plane[off] = len(seeds) ** 2 + np.arange(off.sum())
+    return coarsen(cells, surface, plane)
