@@ -1,9 +1,13 @@
-"""Make the example meshes: ``python meshes/make_meshes.py [bunny chair vase] [--out DIR]``.
+"""Make the example meshes: ``python meshes/make_meshes.py [bunny chair vase mug plate rod] [--out DIR]``.
 
 Each mesh is one closed, outward-oriented surface of even triangles, stands along +z, is centred on its
 bounding box and has a largest extent of exactly 1. The bunny is the 453-vertex one that
 ``pybullet_data`` carries, smoothed by Loop subdivision; the chair is a boolean union of convex parts whose
-edges stay sharp; the vase is a thin-walled surface of revolution.
+edges stay sharp; vase, plate and rod are surfaces of revolution, and the mug is one with a handle.
+
+Real sizes, which a largest extent of 1 leaves out: the mug is 0.1 m high and 0.114 m with its handle, walls
+of 4 mm; the plate 0.27 m across and 5 mm thick; the rod 0.3 m long and 18 mm thick. Give the largest extent
+as the scale where metres matter.
 """
 
 import argparse
@@ -14,207 +18,10 @@ from pathlib import Path
 import numpy as np
 import pybullet_data
 import trimesh
-from manifold3d import Error, Manifold, Mesh64, OpType
-from numpy.typing import NDArray
+from manifold3d import CrossSection, Error, Manifold, Mesh64, OpType
+from remeshing import Floats, Ints, Surface, flip, remesh
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Surface = tuple[Floats, Ints]
-
-
-# --------------------------------------------------------------------------------------------------------
-# Isotropic remeshing (Botsch and Kobbelt 2004): split long edges, collapse short ones, flip to Delaunay,
-# smooth within the surface. A vertex may only move in the directions that leave all its face planes
-# unchanged, so a polyhedron keeps its creases and corners exactly, without a list of them.
-
-
-def _edges(faces: Ints) -> tuple[Ints, ...]:
-    """List edges (a, b) of a closed surface, their faces f = (a, b, c) and g = (b, a, d), as a, b, c, d, f, g."""
-    a, b, c = (np.roll(faces, -k, axis=1).ravel() for k in range(3))
-    order = np.lexsort((a, np.maximum(a, b), np.minimum(a, b)))
-    one, two = order[::2], order[1::2]
-    return a[one], b[one], c[one], c[two], one // 3, two // 3
-
-
-def _normals(vertices: Floats, faces: Ints) -> Floats:
-    """Compute the faces' unit normals."""
-    p, q, r = (vertices[faces[..., k]] for k in range(3))
-    n = np.cross(q - p, r - p)
-    unit: Floats = n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-300)
-    return unit
-
-
-def _free(vertices: Floats, faces: Ints, sharp: bool) -> Floats:
-    """Find each vertex's projector (3, 3) onto the directions it may move in: plane, crease line or nothing."""
-    n = _normals(vertices, faces)
-    tensor = np.zeros((len(vertices), 3, 3))
-    for k in range(3):
-        np.add.at(tensor, faces[:, k], n[:, :, None] * n[:, None, :])
-    values, vectors = np.linalg.eigh(tensor)
-    if sharp:
-        free = values < 1e-3 * values.sum(axis=1, keepdims=True)
-    else:  # only the main normal is held
-        free = np.tile([True, True, False], (len(values), 1))
-    projector: Floats = np.einsum("nik,nk,njk->nij", vectors, free.astype(float), vectors)
-    return projector
-
-
-def _independent(rows: Ints, priority: Floats) -> Ints:
-    """Choose rows that share no entry, greedily by falling priority; return their indices."""
-    used: set[int] = set()
-    kept = []
-    for i in np.argsort(-priority.round(9), kind="stable"):
-        row = rows[i].tolist()
-        if used.isdisjoint(row):
-            used.update(row)
-            kept.append(i)
-    return np.array(kept, dtype=np.int64)
-
-
-def _split(vertices: Floats, faces: Ints, longest: float) -> Surface:
-    """Split edges that are too long at their middle, the longest first."""
-    while True:
-        edges = np.stack(_edges(faces))
-        length = np.linalg.norm(vertices[edges[0]] - vertices[edges[1]], axis=1)
-        edges, length = edges[:, length > longest], length[length > longest]
-        if not len(length):
-            return vertices, faces
-        a, b, c, d, f, g = edges[:, _independent(edges[4:].T, length)]
-        m = len(vertices) + np.arange(len(a))
-        vertices = np.concatenate([vertices, (vertices[a] + vertices[b]) / 2])
-        faces = faces.copy()
-        faces[f], faces[g] = np.stack([a, m, c], 1), np.stack([b, m, d], 1)
-        faces = np.concatenate([faces, np.stack([m, b, c], 1), np.stack([m, a, d], 1)])
-
-
-def _collapse(vertices: Floats, faces: Ints, shortest: float, longest: float, sharp: bool) -> Surface:
-    """Collapse edges that are too short, where the surface keeps its shape and its topology."""
-    # How far a vertex may leave the surface, as a share of the edge, and the smallest cosine that a face may turn by.
-    flat, cosine = (1e-4, 0.999) if sharp else (0.7, 0.7)
-    for _ in range(3):
-        a, b = _edges(faces)[:2]
-        a, b = np.concatenate([a, b]), np.concatenate([b, a])
-        step = vertices[b] - vertices[a]
-        length = np.linalg.norm(step, axis=1)
-        moved = np.einsum("nij,nj->ni", _free(vertices, faces, sharp)[a], step)
-        ok = np.flatnonzero((length < shortest) & (np.linalg.norm(step - moved, axis=1) < flat * length))
-        corners = faces.ravel()
-        by_vertex = np.argsort(corners, kind="stable")
-        start = np.searchsorted(corners[by_vertex], np.arange(len(vertices) + 1))
-        normals = _normals(vertices, faces)
-        used: set[int] = set()
-        target = np.arange(len(vertices))
-        for i in ok[np.argsort(length[ok].round(9), kind="stable")]:
-            u, v = int(a[i]), int(b[i])
-            if u in used or v in used:
-                continue
-            around = by_vertex[start[u] : start[u + 1]] // 3
-            ring = set(faces[around].ravel().tolist())
-            ring_v = set(faces[by_vertex[start[v] : start[v + 1]] // 3].ravel().tolist())
-            kept = around[(faces[around] != v).all(axis=1)]
-            new = np.where(faces[kept] == u, v, faces[kept])
-            if (
-                len(ring & ring_v) == 4  # u, v and the two apexes: the link condition
-                and np.linalg.norm(vertices[new] - vertices[v], axis=2).max() < longest
-                and (np.einsum("ni,ni->n", _normals(vertices, new), normals[kept]) > cosine).all()
-            ):
-                target[u] = v
-                used |= ring
-        if not used:
-            break
-        faces = target[faces]
-        faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-        index, faces = np.unique(faces, return_inverse=True)
-        vertices, faces = vertices[index], faces.reshape(-1, 3)
-    return vertices, faces
-
-
-def _flip(vertices: Floats, faces: Ints, sharp: bool) -> Ints:
-    """Flip edges until the surface is Delaunay, where it keeps its shape."""
-    cosine = 0.999 if sharp else 0.7  # the smallest that a face may turn by
-    for _ in range(30):
-        a, b, c, d, f, g = _edges(faces)
-        left, right = vertices[[a, b]] - vertices[c], vertices[[a, b]] - vertices[d]
-        # The edge is not Delaunay where its opposite angles sum to more than pi: sin(c + d) < 0.
-        cos = [np.einsum("ni,ni->n", *s) for s in (left, right)]
-        sin = [np.linalg.norm(np.cross(*s), axis=1) for s in (left, right)]
-        excess = -np.sin(np.arctan2(sin[0], cos[0]) + np.arctan2(sin[1], cos[1]))
-        pair = np.stack([np.stack([c, a, d], 1), np.stack([d, b, c], 1)])
-        old = _normals(vertices, faces)
-        new = _normals(vertices, pair)
-        size = len(vertices)
-        ok = (excess > 1e-4) & (np.einsum("ni,ni->n", old[f], old[g]) > cosine)
-        ok &= (np.einsum("kni,ni->kn", new, old[f]) > cosine).all(axis=0)
-        ok &= ~np.isin(np.minimum(c, d) * size + np.maximum(c, d), np.minimum(a, b) * size + np.maximum(a, b))
-        ok = np.flatnonzero(ok)
-        if not len(ok):
-            break
-        ok = ok[_independent(np.stack([a, b, c, d], 1)[ok], excess[ok])]
-        faces = faces.copy()
-        faces[f[ok]], faces[g[ok]] = pair[:, ok]
-    return faces
-
-
-def _smooth(vertices: Floats, faces: Ints, sharp: bool, project: Callable[[Floats], Floats]) -> Floats:
-    """Take one step towards the neighbours' mean; a vertex whose faces would turn over stays where it was."""
-    a, b = _edges(faces)[:2]
-    total, count = np.zeros_like(vertices), np.bincount(np.concatenate([a, b]))
-    np.add.at(total, a, vertices[b])
-    np.add.at(total, b, vertices[a])
-    step = np.einsum("nij,nj->ni", _free(vertices, faces, sharp), total / count[:, None] - vertices)
-    new, normals = project(vertices + 0.7 * step).round(9), _normals(vertices, faces)
-    while (bad := np.einsum("ni,ni->n", _normals(new, faces), normals) < 0.5).any():
-        new[faces[bad]] = vertices[faces[bad]]
-    return new
-
-
-def remesh(
-    vertices: Floats,
-    faces: Ints,
-    edge: float,
-    sharp: bool,
-    project: Callable[[Floats], Floats] = lambda points: points,
-) -> Surface:
-    """Remesh a closed surface to edges of about one length.
-
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (V, 3)
-        Of the surface.
-    faces : ndarray of int64, shape (F, 3)
-        Outward.
-    edge : float
-        The length, in the vertices' unit.
-    sharp : bool
-        Whether it is a polyhedron, whose creases and corners are kept.
-    project : callable
-        Moves points (N, 3) back onto a curved surface.
-
-    Returns
-    -------
-    vertices, faces : ndarray
-        Of the same shape.
-
-    Notes
-    -----
-    Botsch and Kobbelt 2004, *A remeshing approach to multiresolution modeling*.
-    """
-    for _ in range(6):
-        vertices, faces = _split(vertices, faces, 4 / 3 * edge)
-        vertices, faces = _collapse(vertices, faces, 4 / 5 * edge, 4 / 3 * edge, sharp)
-        for _ in range(3):
-            faces = _flip(vertices, faces, sharp)
-            vertices = _smooth(vertices, faces, sharp, project)
-    for _ in range(10):
-        faces = _flip(vertices, faces, sharp)
-        vertices = _smooth(vertices, faces, sharp, project)
-    return vertices, _flip(vertices, faces, sharp)
-
-
-# --------------------------------------------------------------------------------------------------------
-# The three objects.
 
 
 def bunny() -> Surface:
@@ -296,6 +103,42 @@ def _zip(lower: Floats, upper: Floats, first_lower: int, first_upper: int) -> In
     return np.stack([start, end, apex], 1)
 
 
+def _revolved(pieces: list[tuple[Floats, int | None]], edge: float) -> Surface:
+    """Turn a profile about z, in rings of even segments, staggered.
+
+    Parameters
+    ----------
+    pieces : list of (ndarray of float64 (N, 2), int or None)
+        Stretches of the profile as distances from the axis and heights, from the axis at the bottom outside to the
+        axis at the top inside; and how many edges each gets, as many as fit by default.
+    edge : float
+        The length of edges, in the profile's unit.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Outward.
+    """
+    profile = [np.zeros((1, 2))]
+    for curve, count in pieces:
+        along = np.append(0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
+        at = np.linspace(0, along[-1], 1 + (count or max(1, round(along[-1] / (edge * 0.75**0.5)))))[1:]
+        profile.append(np.stack([np.interp(at, along, curve[:, k]) for k in range(2)], 1))
+    vertices, faces = [], []
+    previous, first = np.zeros(1), 0
+    for k, (r, height) in enumerate(np.concatenate(profile)):
+        count = max(6, 2 * round(np.pi * r / edge)) if r else 1  # even, so that the axis stays at the centre
+        ring = (np.arange(count) + k % 2 / 2) * 2 * np.pi / count
+        vertices.append(np.stack([r * np.cos(ring), r * np.sin(ring), np.full(count, height)], 1))
+        if k:
+            faces.append(_zip(previous, ring, first - len(previous), first))
+        previous, first = ring, first + count
+    triangles = np.concatenate(faces)
+    triangles = triangles[triangles[:, 0] != triangles[:, 1]]  # the only edge of a pole
+    points = np.concatenate(vertices)
+    return points, flip(points, triangles, False)
+
+
 def vase() -> Surface:
     """Make a vase with a wall of 3 % of its height and about 1,500 vertices, in rings of even segments, staggered.
 
@@ -323,27 +166,97 @@ def vase() -> Surface:
         (inner, None),
         (np.array([[inner[-1, 0], wall], [0, wall]]), None),
     ]
-    profile = [np.zeros((1, 2))]
-    for curve, count in pieces:
-        along = np.append(0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1)))
-        at = np.linspace(0, along[-1], 1 + (count or max(1, round(along[-1] / (edge * 0.75**0.5)))))[1:]
-        profile.append(np.stack([np.interp(at, along, curve[:, k]) for k in range(2)], 1))
-    vertices, faces = [], []
-    previous, first = np.zeros(1), 0
-    for k, (r, height) in enumerate(np.concatenate(profile)):
-        count = max(6, 2 * round(np.pi * r / edge)) if r else 1  # even, so that the axis stays at the centre
-        ring = (np.arange(count) + k % 2 / 2) * 2 * np.pi / count
-        vertices.append(np.stack([r * np.cos(ring), r * np.sin(ring), np.full(count, height)], 1))
-        if k:
-            faces.append(_zip(previous, ring, first - len(previous), first))
-        previous, first = ring, first + count
-    triangles = np.concatenate(faces)
-    triangles = triangles[triangles[:, 0] != triangles[:, 1]]  # the only edge of a pole
-    points = np.concatenate(vertices)
-    return points, _flip(points, triangles, False)
+    return _revolved(pieces, edge)
 
 
-MESHES: dict[str, Callable[[], Surface]] = {"bunny": bunny, "chair": chair, "vase": vase}
+def _line(*points: tuple[float, float]) -> tuple[Floats, int | None]:
+    """Make a straight stretch of a profile, or several."""
+    return np.array(points), None
+
+
+def _arc(x: float, z: float, radius: float, start: float, end: float, count: int) -> tuple[Floats, int | None]:
+    """Make a round stretch of a profile about (x, z), from angle to angle in degrees, in so many edges."""
+    angle = np.radians(np.linspace(start, end, 101))
+    return np.stack([x + radius * np.cos(angle), z + radius * np.sin(angle)], 1), count
+
+
+def rod() -> Surface:
+    """Make a round rod with rounded edges, 0.06 of its length thick, with about 900 vertices.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Not scaled yet.
+    """
+    radius, edge, bevel = 0.03, 0.0165, 0.006
+    flat, low, high = radius - bevel, bevel, 1 - bevel
+    pieces = [
+        _line((0, 0), (flat, 0)),
+        _arc(flat, low, bevel, -90, 0, 1),
+        _line((radius, low), (radius, high)),
+        _arc(flat, high, bevel, 0, 90, 1),
+        _line((flat, 1), (0, 1)),
+    ]
+    return _revolved(pieces, edge)
+
+
+def plate() -> Surface:
+    """Make a dinner plate with a raised rim and a foot, 0.0185 of its width thick, with about 2,600 vertices.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Not scaled yet.
+    """
+    edge, wall = 0.036, 0.0185
+    pieces = [
+        _line((0, 0.013), (0.265, 0.013)),
+        _line((0.265, 0.013), (0.275, 0.0), (0.3, 0.0), (0.315, 0.0155)),
+        _line((0.315, 0.0155), (0.36, 0.05), (0.4907, 0.0815)),
+        _arc(0.4907, 0.0815 + wall / 2, wall / 2, -90, 90, 2),
+        _line((0.4907, 0.0815 + wall), (0.352, 0.0672), (0.3, 0.0315)),
+        _line((0.3, 0.0315), (0, 0.0315)),
+    ]
+    return _revolved(pieces, edge)
+
+
+def mug() -> Surface:
+    """Make a mug with a round handle, walls of 4 % of its height and about 2,500 vertices; the handle is at +x.
+
+    Returns
+    -------
+    vertices, faces : ndarray
+        Not scaled yet.
+    """
+    radius, wall, base, edge, bevel = 0.4, 0.04, 0.06, 0.05, 0.03
+    inner, rim = radius - wall, 1 - wall / 2
+    pieces = [
+        _line((0, 0), (radius - bevel, 0)),
+        _arc(radius - bevel, bevel, bevel, -90, 0, 1),
+        _line((radius, bevel), (radius, rim)),
+        _arc(radius - wall / 2, rim, wall / 2, 0, 180, 2),
+        _line((inner, rim), (inner, base + bevel)),
+        _arc(inner - bevel, base + bevel, bevel, 0, -90, 1),
+        _line((inner - bevel, base), (0, base)),
+    ]
+    vertices, faces = _revolved(pieces, edge)
+    body = Manifold(Mesh64(vertices, faces.astype(np.uint64)))
+    section = CrossSection.circle(0.05, 10).translate((0.24, 0))
+    ring = Manifold.revolve(section, 32).rotate((90, 0, 0)).translate((0.45, 0, 0.5))
+    within = Manifold.cylinder(1.0, radius - wall / 2, circular_segments=96)
+    mesh = (body + (ring - within)).simplify(2e-3).to_mesh64()
+    vertices = np.asarray(mesh.vert_properties)[:, :3]
+    return vertices, flip(vertices, np.asarray(mesh.tri_verts).astype(np.int64), False)
+
+
+MESHES: dict[str, Callable[[], Surface]] = {
+    "bunny": bunny,
+    "chair": chair,
+    "vase": vase,
+    "mug": mug,
+    "plate": plate,
+    "rod": rod,
+}
 
 
 def normalised(vertices: Floats) -> Floats:
