@@ -46,6 +46,26 @@ def partitions(draw):
     return points, truth, guess
 
 
+@given(partitions(), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_a_cell_counts_by_its_volume(case, seed):
+    _, truth, guess = case
+    volumes = np.random.default_rng(seed).integers(0, 5, len(truth))
+    volumes[0] += 1
+    score = metrics.volume_ari(truth, guess, volumes)
+    # As many points in every cell as its volume: for ever more of them the plain index comes to the same.
+    many = 3000 * volumes
+    assert score == pytest.approx(metrics.ari(np.repeat(truth, many), np.repeat(guess, many)), abs=2e-2)
+    assert score == pytest.approx(metrics.volume_ari(guess, truth, 7.5 * volumes))
+    assert metrics.volume_ari(truth, truth, volumes) == pytest.approx(1.0)
+
+
+def test_volumes_that_are_none_are_refused():
+    for wrong in ([1.0], [0.0, 0.0], [1.0, -1.0], [np.nan, 1.0]):
+        with pytest.raises(FieldError, match="each label needs a volume"):
+            metrics.volume_ari([0, 1], [0, 1], wrong)
+
+
 # Fields
 
 

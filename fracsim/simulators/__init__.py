@@ -18,11 +18,14 @@ if TYPE_CHECKING:
 # Each name's class, or where to import it from when it is first used: not every class's dependencies are installed.
 SIMULATORS: dict[str, str | type[RegisteredSimulator]] = {
     "modal": "fracsim.simulators.modal:ModalSimulator",
+    "structural": "fracsim.simulators.structural:StructuralSimulator",
+    "sequential": "fracsim.simulators.sequential:SequentialSimulator",
     "elastic": "fracsim.simulators.elastic:ElasticSimulator",
     "radial": "fracsim.simulators.radial:RadialSimulator",
 }
 
-# What a class must carry to be registered; ``simulators.base.RegisteredSimulator`` says what each means.
+# What a class must carry to be registered; ``simulators.base.RegisteredSimulator`` says what each means. It names
+# ``severity_kind`` too, which may be left out.
 REQUIRED = (
     "options_type",
     "fixed_cracks",

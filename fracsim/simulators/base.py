@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.material import Material
 from ..fracture.rule import Interfaces, components, merge_small_pieces, weakest_cut
 from ..solids.solid import Solid, shared_faces
 from ..solids.surface import Surface
@@ -43,7 +44,9 @@ class Impacts:
     directions : ndarray of float64, shape (N, K, 3)
         Unit vectors along the impulses.
     severities : ndarray of float64, shape (N, K)
-        Impulse / (mass * breaking velocity), without unit; 0 where there is no contact.
+        How hard each contact is, without unit; 0 where there is no contact. Of a simulator whose ``severity_kind`` is
+        "impulse": the impulse over mass, gauge and critical velocity. Of one whose kind is "force": the peak force
+        over strength times the square of the largest extent.
     """
 
     faces: IntArray
@@ -102,7 +105,7 @@ class FractureSimulator(Protocol):
 
     See Also
     --------
-    FineCells, ImpactField : what a simulator may have besides.
+    FineCells, ImpactField, ContactCompliance, Described : what a simulator may have besides.
     RegisteredSimulator : what it must have besides to be known by a name.
     """
 
@@ -192,6 +195,46 @@ class ImpactField(Protocol):
 
 
 @runtime_checkable
+class ContactCompliance(Protocol):
+    """A simulator that knows how far its body yields under a contact, which limits the force of an impulse.
+
+    Attributes
+    ----------
+    compliance : ndarray of float64, shape (V,)
+        How far the surface at each vertex gives way to a unit force along its normal, beyond what the body moves as a
+        whole; in units of 1 / (Young's modulus * largest extent).
+    """
+
+    @property
+    def compliance(self) -> FloatArray:
+        """How far each vertex gives way."""
+        ...
+
+
+@runtime_checkable
+class MaterialDependent(Protocol):
+    """A simulator's class whose options depend on what the body is made of, and how large it is."""
+
+    @classmethod
+    def material_options(cls, material: Material, size: float) -> dict[str, float]:
+        """Work out the options of a body.
+
+        Parameters
+        ----------
+        material : Material
+            What it is made of.
+        size : float
+            m, its largest extent.
+
+        Returns
+        -------
+        dict of str to float
+            Options of its ``options_type``, by name. Whatever a user sets goes before them.
+        """
+        ...
+
+
+@runtime_checkable
 class Described(Protocol):
     """A simulator that has figures of its own for an asset's metadata."""
 
@@ -218,11 +261,18 @@ class RegisteredSimulator(FractureSimulator, Protocol):
         header alone.
     driven_by_impact_field : bool
         Whether its instances are an ``ImpactField``.
+    severity_kind : str
+        "force" or "impulse": what severities are to it, see ``Impacts``. A class that does not say means "impulse".
+
+    See Also
+    --------
+    MaterialDependent, capabilities.Slow : what such a class may have besides.
     """
 
     options_type: ClassVar[type[SimulatorOptions]]
     repeatable: ClassVar[bool]
     driven_by_impact_field: ClassVar[bool]
+    severity_kind: ClassVar[str]
 
     @classmethod
     def build(cls, surface: Surface, options: Any, rng: np.random.Generator, progress: Progress = no_progress) -> Self:

@@ -71,6 +71,7 @@ class ElasticSimulator:
     fixed_cracks: ClassVar[bool] = True
     repeatable: ClassVar[bool] = False  # fTetWild, which makes the mesh, does not repeat itself
     driven_by_impact_field: ClassVar[bool] = False
+    severity_kind: ClassVar[str] = "impulse"
 
     surface: Surface
     cells: Solid

@@ -74,6 +74,7 @@ class ModalSimulator:
     fixed_cracks: ClassVar[bool] = True
     repeatable: ClassVar[bool] = True
     driven_by_impact_field: ClassVar[bool] = True
+    severity_kind: ClassVar[str] = "impulse"
 
     surface: Surface
     fine_cells: Solid

@@ -63,6 +63,7 @@ class RadialSimulator:
     fixed_cracks: ClassVar[bool] = False
     repeatable: ClassVar[bool] = True
     driven_by_impact_field: ClassVar[bool] = False
+    severity_kind: ClassVar[str] = "impulse"
 
     surface: Surface
     cells: Solid

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from ..common.errors import BakeError, MissingExtraError
+from ..common.material import Material
 from ..common.options import option_from_text, option_types
 from ..solids.surface import Surface
 from . import SIMULATORS, simulator_class, unknown_simulator
-from .base import FractureSimulator, Progress, no_progress
+from .base import FractureSimulator, MaterialDependent, Progress, no_progress
 
 try:
     from threadpoolctl import threadpool_limits
@@ -34,7 +35,7 @@ class SimulatorOptions:
     Attributes
     ----------
     name : str
-        A registered simulator: "modal", "elastic", "radial", or one of your own.
+        A registered simulator: "modal", "structural", "sequential", "elastic", "radial", or one of your own.
     cells : int
         About how many cells the body is cut into, at least 50.
     modes : int
@@ -91,6 +92,36 @@ def options_for(name: str = "modal", **values: Any) -> SimulatorOptions:
         if option not in known:
             raise BakeError(f"simulator {name!r} has no option {option!r}; it has {', '.join(known)}")
     return kind(name=name, **values)
+
+
+def options_for_body(name: str, material: Material, size: float, **values: Any) -> SimulatorOptions:
+    """Make the options of a registered simulator for a body of some material and size.
+
+    Parameters
+    ----------
+    name : str
+        The simulator's.
+    material : Material
+        What the body is made of.
+    size : float
+        m, its largest extent.
+    **values
+        Options that are set whatever the body is; the others follow from it where the simulator's class is
+        ``MaterialDependent``, or keep their defaults.
+
+    Returns
+    -------
+    SimulatorOptions
+        Or what the simulator derives from it.
+
+    Raises
+    ------
+    BakeError
+        If no simulator has that name, it has no such option, or a value is out of range.
+    """
+    cls = simulator_class(name)
+    of_body: dict[str, Any] = cls.material_options(material, size) if isinstance(cls, MaterialDependent) else {}
+    return options_for(name, **{**of_body, **values})
 
 
 def options_from(name: str, texts: Mapping[str, str]) -> dict[str, Any]:

@@ -14,11 +14,13 @@ import fracsim
 from fracsim import simulators
 from fracsim.baking import BakeOptions
 from fracsim.cli.main import main
+from fracsim.common.material import Material, as_material
 from fracsim.data.dataset import Dataset
 from fracsim.fracture.rule import components, separated
 from fracsim.simulators import register_simulator, simulator_class
 from fracsim.simulators.base import Impacts, Response, interfaces_between
-from fracsim.simulators.registry import SimulatorOptions, make_simulator, options_for
+from fracsim.simulators.capabilities import default_samples, severity_kind_of
+from fracsim.simulators.registry import SimulatorOptions, make_simulator, options_for, options_for_body
 from fracsim.solids.cut import cut_lattice
 from fracsim.solids.solid import Solid, relabel
 from fracsim.solids.surface import Surface, read_surface
@@ -168,6 +170,37 @@ def test_a_users_simulator_has_its_own_options_on_the_command_line_in_a_bake_and
         read_plan(plan)
 
 
+class Brittle(Slicer):
+    """A slicer whose number of slices follows from what the body is made of, and how large it is."""
+
+    severity_kind: ClassVar[str] = "force"
+    default_samples: ClassVar[int] = 700
+
+    @classmethod
+    def material_options(cls, material: Material, size: float) -> dict[str, float]:
+        return {"slices": 2 if material.name == "ice" else max(3, round(10 * size))}
+
+
+def test_options_follow_from_the_body_unless_they_are_set(monkeypatch):
+    monkeypatch.setitem(simulators.SIMULATORS, "brittle", Brittle)
+    ice, glass = as_material("ice"), as_material("glass")
+    assert options_for_body("brittle", ice, 0.4, cells=200) == SlicerOptions("brittle", 200, slices=2)
+    assert options_for_body("brittle", glass, 0.4) == SlicerOptions("brittle", slices=4)
+    assert options_for_body("brittle", ice, 0.4, slices=7) == SlicerOptions("brittle", slices=7)
+    assert options_for_body("modal", ice, 0.4, modes=3) == SimulatorOptions(modes=3)
+    with pytest.raises(fracsim.BakeError, match="no option 'cuts'"):
+        options_for_body("brittle", ice, 0.4, cuts=1)
+
+
+def test_a_class_may_say_what_severities_are_to_it_and_how_many_samples_it_can_give():
+    assert severity_kind_of(Brittle) == "force"
+    assert severity_kind_of(Slicer) == severity_kind_of(Slicer(None, None, 1.0)) == "impulse"
+    assert severity_kind_of(simulator_class("modal")) == "impulse"
+    with pytest.raises(fracsim.BakeError, match="Wrong: severity_kind must be impulse or force, got 'speed'"):
+        severity_kind_of(type("Wrong", (Slicer,), {"severity_kind": "speed"}))
+    assert (default_samples(Brittle), default_samples(Slicer)) == (700, 250000)
+
+
 def test_a_taken_name_and_a_class_that_lacks_something_are_refused():
     with pytest.raises(fracsim.BakeError, match="'modal' is taken"):
         register_simulator("modal", Slicer)
@@ -183,7 +216,10 @@ def test_a_taken_name_and_a_class_that_lacks_something_are_refused():
 
 def test_a_name_that_nothing_has_is_refused_with_those_that_are_there():
     for ask in (lambda: simulator_class("guess"), lambda: SimulatorOptions(name="guess")):
-        with pytest.raises(fracsim.BakeError, match="unknown simulator 'guess'; use modal or elastic or radial"):
+        with pytest.raises(
+            fracsim.BakeError,
+            match="unknown simulator 'guess'; use modal or structural or sequential or elastic or radial",
+        ):
             ask()
 
 
