@@ -5,8 +5,6 @@ Cracks of the lattice simulators run along the planar faces between them. Offlin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -29,29 +27,7 @@ THINNEST = 0.1  # of the thickness from which cells grow no more: thinner walls 
 SLIVER = 0.1  # of the volume that a cell should have at its place; smaller ones join a neighbour
 FLAT = 1e-9  # of the largest extent: how far from its plane a face's triangle may lie by rounding
 MARGIN = 1.3  # how much farther than any point of the body is from a seed the guards stay away from the body
-JITTER = 0.02  # of the distance between guards, or of a cell when seeds are tried again: keeps positions general
-
-
-@dataclass(frozen=True, eq=False)
-class Seeds:
-    """Where the Voronoi cells of a body grow from.
-
-    Attributes
-    ----------
-    points : ndarray of float64, shape (S, 3)
-        In the surface's frame, in units of the largest extent.
-    volumes : ndarray of float64, shape (S,)
-        About how much of the body is nearer to each than to the others.
-    reach : float
-        No point of the body is farther from the nearest seed, as far as samples can tell.
-    inside : ndarray of float64, shape (N, 3)
-        The samples of the body that placed them.
-    """
-
-    points: FloatArray
-    volumes: FloatArray
-    reach: float
-    inside: FloatArray
+JITTER = 0.02  # of the distance between guards, or from seed to seed where these are tried again: keeps things general
 
 
 def voronoi_solid(surface: Surface, cells: int, rng: np.random.Generator) -> Solid:
@@ -88,27 +64,51 @@ def voronoi_solid(surface: Surface, cells: int, rng: np.random.Generator) -> Sol
     once, each triangle makes a tetrahedron with either seed, and these tetrahedra are cut by the surface
     (``cut_once``).
     """
-    seeds = place_seeds(surface, cells, rng)
-    spacing = np.cbrt(seeds.volumes)[:, None]
+    return solid_of_seeds(surface, *place_seeds(surface, cells, rng), rng)
+
+
+def solid_of_seeds(surface: Surface, seeds: FloatArray, inside: FloatArray, rng: np.random.Generator) -> Solid:
+    """Divide a body into the Voronoi cells of given seeds.
+
+    Parameters
+    ----------
+    surface : Surface
+        Of largest extent 1.
+    seeds : ndarray of float64, shape (S, 3)
+        All different.
+    inside : ndarray of float64, shape (N, 3)
+        Samples of the body, denser than the seeds.
+    rng : numpy.random.Generator
+        Moves the seeds a little where rounding cannot decide how a cell and the surface meet.
+
+    Returns
+    -------
+    Solid
+        As of ``voronoi_solid``.
+
+    Raises
+    ------
+    BakeError
+        If the cells do not add up to the body, however often the seeds are moved.
+    """
+    distance, _ = cKDTree(seeds).query(np.vstack([inside, surface.vertices]))
+    reach = float(distance.max())
+    shift = JITTER * cKDTree(seeds).query(seeds, k=[2])[0] if len(seeds) > 1 else reach * np.ones((1, 1))
     fault = ""
     for attempt in range(TRIES):
-        points = seeds.points
-        if attempt:
-            points = points + rng.uniform(-JITTER, JITTER, points.shape) * spacing
+        points = seeds + rng.uniform(-1.0, 1.0, seeds.shape) * shift if attempt else seeds
         try:
-            tetrahedra = voronoi_tetrahedra(points, seeds.inside, MARGIN * (1 + 0.2 * attempt) * seeds.reach, rng)
-            parts = cut_once(surface, *tetrahedra)
+            tetrahedra = voronoi_tetrahedra(points, inside, MARGIN * (1 + 0.2 * attempt) * reach, rng)
+            return _join(cut_once(surface, *tetrahedra), points, surface)
         except DegenerateCut as error:
             fault = str(error)
-            continue
-        return _join(parts, points, seeds.volumes, surface)
     raise BakeError(
         f"{surface.name}: cannot be cut into Voronoi cells ({fault}); the surface probably runs through itself: "
         "repair it before baking"
     )
 
 
-def place_seeds(surface: Surface, count: int, rng: np.random.Generator) -> Seeds:
+def place_seeds(surface: Surface, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Place seeds whose Voronoi cells follow the thickness of a body's walls.
 
     Parameters
@@ -122,15 +122,16 @@ def place_seeds(surface: Surface, count: int, rng: np.random.Generator) -> Seeds
 
     Returns
     -------
-    Seeds
+    seeds : ndarray of float64, shape (S, 3)
         Each about the weighted centroid of its Voronoi cell in the body.
+    inside : ndarray of float64, shape (N, 3)
+        The samples of the body that placed them.
 
     Notes
     -----
     With h = (V/S)^(1/3), walls thinner than 1.25 h get cells smaller by the square root of their thickness, so that
-    there is one cell or two through them, but no less than a third as large as the largest cells. Lloyd's
-    iteration (Lloyd 1982) makes cells of size proportional to w^(-1/5) where the volume is weighted by w (Du, Faber,
-    Gunzburger 1999, *Centroidal Voronoi tessellations*, section 6.4).
+    there is one cell or two through them, but no less than a third as large as the largest cells. Cells of size
+    proportional to w^(-1/5) come of weighting the volume by w (``centroidal_seeds``).
     """
     inside, volumes = sample_interior(surface, SAMPLES * count, rng)
     size = float(np.cbrt(volumes.sum() / count))
@@ -138,20 +139,40 @@ def place_seeds(surface: Surface, count: int, rng: np.random.Generator) -> Seeds
     spacing = thickness.clip(THINNEST, 1.0) ** GRADING
     # Through a wall thinner than its spacing there is one cell, so the thickness decides how many there are.
     density = volumes / (spacing**2 * np.minimum(spacing, THICK * thickness))
-    weights = volumes / spacing**5
-    points = inside[np.sort(rng.choice(len(inside), count, replace=False, p=density / density.sum()))]
+    begin = inside[np.sort(rng.choice(len(inside), count, replace=False, p=density / density.sum()))]
+    return centroidal_seeds(begin, inside, volumes / spacing**5), inside
+
+
+def centroidal_seeds(seeds: FloatArray, inside: FloatArray, weights: FloatArray) -> FloatArray:
+    """Move seeds to the weighted centroids of their own Voronoi cells.
+
+    Parameters
+    ----------
+    seeds : ndarray of float64, shape (S, 3)
+        Where they begin.
+    inside : ndarray of float64, shape (N, 3)
+        Samples of the body.
+    weights : ndarray of float64, shape (N,)
+        Of the samples: the volumes that they stand for, times any density.
+
+    Returns
+    -------
+    ndarray of float64, shape (S, 3)
+        Where they are after STEPS steps of Lloyd's iteration (Lloyd 1982, *Least squares quantization in PCM*).
+
+    Notes
+    -----
+    In three dimensions cells come out with sizes proportional to density^(-1/5), in two, or through one thin wall,
+    density^(-1/4) (Du, Faber, Gunzburger 1999, *Centroidal Voronoi tessellations*, section 6.4).
+    """
+    seeds = seeds.copy()
     for _ in range(STEPS):
-        _, nearest = cKDTree(points).query(inside)
-        total = sum_by_index(nearest, weights, count)
-        moment = sum_by_index(nearest, weights[:, None] * inside, count)
+        _, nearest = cKDTree(seeds).query(inside)
+        total = sum_by_index(nearest, weights, len(seeds))
+        moment = sum_by_index(nearest, weights[:, None] * inside, len(seeds))
         held = total > 0
-        points = points.copy()
-        points[held] = moment[held] / total[held, None]
-    tree = cKDTree(points)
-    distance, nearest = tree.query(np.vstack([inside, surface.vertices]))
-    held_volumes = sum_by_index(nearest[: len(inside)], volumes, count)
-    # A seed that no sample is nearest to has a cell smaller than a sample.
-    return Seeds(points, np.maximum(held_volumes, volumes.min()), float(distance.max()), inside)
+        seeds[held] = moment[held] / total[held, None]
+    return seeds
 
 
 def voronoi_tetrahedra(
@@ -224,7 +245,7 @@ def voronoi_tetrahedra(
     return points, tetrahedra
 
 
-def _join(parts: Solid, seeds: FloatArray, volumes: FloatArray, surface: Surface) -> Solid:
+def _join(parts: Solid, seeds: FloatArray, surface: Surface) -> Solid:
     """Join the parts of tetrahedra to connected parts of Voronoi cells, and slivers to a neighbour."""
     # A Voronoi cell is convex, so the centroid of a part of it is nearest to its seed.
     _, seed = cKDTree(seeds).query(parts.centroids)
@@ -232,7 +253,13 @@ def _join(parts: Solid, seeds: FloatArray, volumes: FloatArray, surface: Surface
     same = seed[pairs[:, 0]] == seed[pairs[:, 1]]
     graph = coo_matrix((np.ones(same.sum()), tuple(pairs[same].T)), shape=(parts.count, parts.count))
     _, cell = connected_components(graph, directed=False)
-    label = merge_small_regions(parts.volumes / volumes[seed], pairs, areas, SLIVER, cell.astype(np.int64))
+    # What a cell there should have: the mean of its seed's whole Voronoi cell and those next to it.
+    total = sum_by_index(seed, parts.volumes, len(seeds))
+    beside = np.unique(np.sort(seed[pairs[~same]], axis=1), axis=0)
+    ends = np.concatenate([np.arange(len(seeds)), beside[:, 0], beside[:, 1]])
+    others = np.concatenate([np.arange(len(seeds)), beside[:, 1], beside[:, 0]])
+    expected = sum_by_index(ends, total[others], len(seeds)) / np.bincount(ends)
+    label = merge_small_regions(parts.volumes / expected[seed], pairs, areas, SLIVER, cell.astype(np.int64))
     cells = relabel(parts, label)
     # The triangles that relabelling keeps, each with the plane between the two seeds on its sides.
     ends = np.where(parts.sides >= 0, label[parts.sides], -1)

@@ -13,7 +13,7 @@ from fracsim.solids.cut import measure_cells
 from fracsim.solids.interior import sample_interior, wall_thickness
 from fracsim.solids.solid import shared_faces
 from fracsim.solids.surface import Surface, read_surface
-from fracsim.solids.voronoi import place_seeds, voronoi_solid
+from fracsim.solids.voronoi import place_seeds, solid_of_seeds, voronoi_solid
 
 
 def stepped_plate():
@@ -87,12 +87,24 @@ def test_a_thin_wall_has_one_cell_through_it_and_smaller_ones_than_a_thick_part(
 
 def test_seeds_stay_apart_and_near_everything():
     surface = read_surface(SHAPES["box"]())
-    seeds = place_seeds(surface, 50, np.random.default_rng(0))
-    assert seeds.volumes.sum() == pytest.approx(surface.trimesh.volume, rel=0.1)
+    seeds, inside = place_seeds(surface, 50, np.random.default_rng(0))
     size = np.cbrt(surface.trimesh.volume / 50)
-    apart = np.linalg.norm(seeds.points[:, None] - seeds.points, axis=2) + 9.0 * np.eye(50)
+    apart = np.linalg.norm(seeds[:, None] - seeds, axis=2) + 9.0 * np.eye(50)
     assert apart.min() > 0.5 * size
-    assert seeds.reach < 1.5 * size
+    assert np.linalg.norm(inside[:, None] - seeds, axis=2).min(axis=1).max() < 1.5 * size
+
+
+def test_cells_of_given_seeds_are_nearest_to_them():
+    surface = read_surface(SHAPES["box"]())
+    seeds = np.array([[-0.3, 0.0, 0.0], [0.1, 0.1, 0.05], [0.3, -0.1, 0.0]])
+    inside, _ = sample_interior(surface, 500, np.random.default_rng(0))
+    solid = solid_of_seeds(surface, seeds, inside, np.random.default_rng(0))
+    assert solid.count == 3
+    for cell in range(3):
+        own = np.unique(solid.triangles[(solid.sides == cell).any(axis=1)])
+        distance = np.linalg.norm(solid.points[own][:, None] - seeds, axis=2)
+        nearest = np.argmin(np.linalg.norm(solid.centroids[cell] - seeds, axis=1))
+        np.testing.assert_allclose(distance[:, nearest], distance.min(axis=1), atol=1e-9)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
