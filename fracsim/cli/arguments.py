@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ..common.errors import FracsimError
+from ..common.material import PRESETS
 from ..learning import MODELS
 from ..simulators import SIMULATORS
+
+MATERIAL = "ceramic"  # of what a simulator breaks, unless the command line says otherwise
 
 
 class Commands(Protocol):
@@ -92,6 +95,35 @@ def add_simulator(parser: argparse.ArgumentParser, default: str | None) -> None:
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="another option of the simulator"
+    )
+
+
+def add_sizes(parser: argparse.ArgumentParser) -> None:
+    """Add ``--cells`` and ``--modes``, whose defaults are the simulator's own.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+        A command's.
+    """
+    parser.add_argument(
+        "--cells", type=int, help="about how many cells the body is cut into (default: the simulator's, modal 5000)"
+    )
+    parser.add_argument("--modes", type=int, help="fracture modes, of simulators that have them (default: 20)")
+
+
+def add_material(parser: argparse.ArgumentParser, default: str | None) -> None:
+    """Add ``--material``.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+        A command's.
+    default : str or None
+        The material without the argument; None where the command tells given from not given.
+    """
+    parser.add_argument(
+        "--material", default=default, metavar="NAME", help=f"what it is made of: {listed(PRESETS, MATERIAL)}"
     )
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from ..common.errors import DatasetError
-from .arguments import Commands, add_common, add_seed, add_simulator, settings_of
+from ..common.material import as_material
+from .arguments import MATERIAL, Commands, add_common, add_material, add_seed, add_simulator, add_sizes, settings_of
 from .output import print_figures, require_file
 
 SAMPLES = 1000  # of a new dataset, unless the command line says otherwise
@@ -40,8 +41,8 @@ def add_make(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--like", type=Path, metavar="FILE", help="make that dataset again from its own header")
     add_seed(parser, "seed of all random choices", None)
     add_simulator(parser, None)
-    parser.add_argument("--cells", type=int, help="cells of the solid (default: 5000)")
-    parser.add_argument("--modes", type=int, help="fracture modes, of simulators that have them (default: 20)")
+    add_material(parser, None)
+    add_sizes(parser)
     parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
     parser.add_argument(
         "--backend", default="joblib", metavar="NAME", help="joblib (default), on this machine, or ray, on a cluster"
@@ -72,7 +73,7 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
 
     from ..data.dataset import Dataset
     from ..data.writing import make_dataset, regenerate
-    from ..simulators.registry import SimulatorOptions, options_for, options_from
+    from ..simulators.registry import SimulatorOptions, options_for_body, options_from
     from ..solids.surface import read_surface, refine
 
     begin = time.perf_counter()
@@ -82,7 +83,7 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
     require_file(out)
     progress = not options.quiet
     if options.like is not None:
-        for name in ("samples", "append", "seed", "simulator", "cells", "modes"):
+        for name in ("samples", "append", "seed", "simulator", "material", "cells", "modes"):
             if getattr(options, name) is not None:
                 raise DatasetError(f"--{name} cannot be given with --like, whose header says it")
         if options.set:
@@ -92,7 +93,7 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
         name = options.simulator or SimulatorOptions.name
         arguments = {"cells": options.cells, "modes": options.modes}
         values = {option: value for option, value in arguments.items() if value is not None}
-        simulator = options_for(name, **values, **options_from(name, settings_of(options.set)))
+        values |= options_from(name, settings_of(options.set))
         total = SAMPLES if options.samples is None else options.samples
         if options.append is not None:
             if options.samples is not None or options.append < 1:
@@ -100,6 +101,8 @@ def make(options: argparse.Namespace) -> dict[str, Any]:
             with Dataset(out) as dataset:
                 total = dataset.held + options.append
         surface = refine(read_surface(options.mesh))
+        material = as_material(options.material or MATERIAL)
+        simulator = options_for_body(name, material, surface.scale, **values)
         seed = options.seed or 0
         seconds = make_dataset(out, surface, total, seed, simulator, None, options.workers, options.backend, progress)
     figures = describe(out)
@@ -179,6 +182,7 @@ def describe(path: Path) -> dict[str, Any]:
             },
             "splits": dict(zip(("train", "validation", "test"), splits.tolist(), strict=True)),
             "kinds": dict(zip(KINDS, kinds.tolist(), strict=True)),
+            "repeatability": dataset.header.get("repeatability", {}),
             "pieces": {
                 "breaking": int(broken.sum()),
                 "median": float(np.median(count[broken])) if broken.any() else 0.0,

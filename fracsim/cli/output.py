@@ -13,7 +13,8 @@ from typing import Any
 from ..common.errors import AssetError
 from ..common.files import write_beside
 
-GROUPS = ("counts", "splits", "kinds", "pieces", "seconds", "test")  # of the figures that are printed, in this order
+# Groups of the figures that are printed, in this order.
+GROUPS = ("counts", "splits", "kinds", "pieces", "repeatability", "seconds", "test")
 
 
 def print_figures(figures: dict[str, Any]) -> None:

@@ -23,6 +23,7 @@ from ..fracture.predictor import field_of_labels
 from ..fracture.rule import Interfaces
 from ..simulators import SIMULATORS, simulator_class
 from ..simulators.base import FractureSimulator
+from ..simulators.capabilities import SEVERITY_KINDS
 from ..solids.geodesics import CurveDistances
 from ..solids.solid import solid_from_arrays
 from ..solids.surface import Surface
@@ -51,7 +52,8 @@ class Dataset:
     path : Path
         The file.
     header : dict
-        What made it: version, seed, options of the simulator ("simulator"), rules of drawing ("sampling") and cap.
+        What made it: version, seed, options of the simulator ("simulator"), rules of drawing ("sampling") and cap; and
+        how well the simulator repeats itself ("repeatability"), which older files do not say.
     surface : Surface
         Of largest extent 1, with V vertices and E edges.
     cells : Solid
@@ -104,6 +106,11 @@ class Dataset:
     def seed(self) -> int:
         """The seed that simulator and samples were made from."""
         return int(self.header["seed"])
+
+    @property
+    def severity_kind(self) -> str:
+        """What severities are to its simulator: "impulse" or "force", see ``simulators.base.Impacts``."""
+        return str(self.header.get("severity_kind", SEVERITY_KINDS[0]))
 
     @property
     def complete(self) -> IntArray:

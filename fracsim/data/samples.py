@@ -45,7 +45,7 @@ class Samples:
     directions : ndarray of float64, shape (N, K, 3)
         Unit vectors along the impulses.
     severities : ndarray of float64, shape (N, K)
-        Impulse / (mass * breaking velocity), without unit; 0 where there is no contact.
+        How hard each contact is, without unit, see ``simulators.base.Impacts``; 0 where there is no contact.
     ratio : ndarray of float64, shape (N,)
         Severity as a multiple of the one at which this very impact would first break the body.
     kind : ndarray of int64, shape (N,)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 from ..common.errors import DatasetError, MissingExtraError
-from ..simulators.base import FractureSimulator
 
 try:
     import joblib
@@ -16,12 +15,13 @@ except ImportError as error:
     raise MissingExtraError(str(error.name), "bake") from error
 
 
+Subject = TypeVar("Subject")
 Result = TypeVar("Result")
 
 
 def run_blocks(
-    job: Callable[[FractureSimulator, int, int], Result],
-    simulator: FractureSimulator,
+    job: Callable[[Subject, int, int], Result],
+    simulator: Subject,
     seed: int,
     blocks: list[int],
     workers: int = 1,
@@ -35,8 +35,8 @@ def run_blocks(
     ----------
     job : callable
         What makes a block.
-    simulator : FractureSimulator
-        Sent to every worker.
+    simulator : object
+        What the job asks: a simulator, or whatever holds one. Sent to every worker.
     seed : int
         Of all blocks.
     blocks : list of int
@@ -95,8 +95,8 @@ def check_workers(workers: int, backend: str) -> None:
 
 
 def _on_ray(
-    job: Callable[[FractureSimulator, int, int], Result],
-    simulator: FractureSimulator,
+    job: Callable[[Subject, int, int], Result],
+    simulator: Subject,
     seed: int,
     blocks: list[int],
     workers: int,

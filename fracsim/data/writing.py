@@ -20,6 +20,7 @@ from ..common.errors import DatasetError, MissingExtraError
 from ..common.progress import Stages
 from ..simulators import SIMULATORS, UNREGISTERED, simulator_class
 from ..simulators.base import FractureSimulator, RegisteredSimulator, interfaces_between
+from ..simulators.capabilities import severity_kind_of
 from ..simulators.registry import SimulatorOptions, make_simulator, options_for
 from ..solids.geodesics import CAP, CurveDistances, interface_distances
 from ..solids.solid import solid_to_arrays
@@ -28,6 +29,7 @@ from ..solids.walls import facing_vertices
 from .dataset import Dataset
 from .hdf5 import FORMAT, VERSION, alone, left_open, put_array, replacing, writing
 from .impacts import CONTACTS, draw_impacts
+from .repeatability import repeatability_of
 from .samples import BLOCK, Samples, checked, sample_block, sampling_rules
 from .workers import check_workers, run_blocks
 
@@ -38,6 +40,10 @@ except ImportError as error:
 
 COMPRESSION = 4  # of gzip: higher levels take longer and gain nothing here
 COUNTED = 1024  # blocks whose row counts share a chunk
+UNITS = {  # of a header, by what severities are to the simulator
+    "impulse": "lengths in units of the largest extent; severity = impulse / (mass * gauge * critical velocity)",
+    "force": "lengths in units of the largest extent; severity = peak force / (strength * largest extent squared)",
+}
 
 
 def make_dataset(
@@ -66,7 +72,8 @@ def make_dataset(
     seed : int
         The same seed gives the same samples to the bit, however many workers make them in how many sittings.
     options : SimulatorOptions, optional
-        The simulator to build, any that is registered; the modal one by default.
+        The simulator to build, any that is registered; the modal one by default. ``options_for_body`` makes those of
+        a simulator that depends on the material.
     simulator : FractureSimulator, optional
         Instead of ``options``, a simulator of your own whose class is not registered. Pass it again to go on.
     workers : int
@@ -99,13 +106,13 @@ def make_dataset(
     check_workers(workers, backend)
     if not path.absolute().parent.is_dir():
         raise DatasetError(f"{path}: the folder {path.parent} does not exist; create it first")
-    if simulator is None:
+    if simulator is not None:
+        options, made_by = None, {"name": UNREGISTERED, "class": type(simulator).__name__}
+    else:
         options = options or SimulatorOptions()
         if not isinstance(options, simulator_class(options.name).options_type):
             options = options_for(**asdict(options))
         made_by = json.loads(json.dumps(asdict(options)))
-    else:
-        made_by = {"name": UNREGISTERED, "class": type(simulator).__name__}
     with alone(path), Stages(progress) as stage:
         if path.exists():
             stage("check")
@@ -114,7 +121,8 @@ def make_dataset(
             if simulator is None:
                 assert options is not None
                 simulator = make_simulator(surface, options, seed, stage)
-            _create(path, surface, simulator, seed, made_by, stage)
+            of_itself = repeatability_of(simulator, options, seed, workers, backend, stage)
+            _create(path, surface, simulator, seed, made_by, of_itself, stage)
         stage("samples")
         with writing(path):  # no lock of HDF5's: ``alone`` has one, and readers must not keep a writer out
             file = h5py.File(path, "r+", libver="latest", locking=False)
@@ -215,6 +223,7 @@ def _create(
     simulator: FractureSimulator,
     seed: int,
     made_by: dict[str, Any],
+    of_itself: dict[str, float],
     stage: Stages,
 ) -> None:
     """Write a file without samples; all that is worked out is worked out before there is a file."""
@@ -223,13 +232,16 @@ def _create(
     # A first answer: is it one, and does this simulator say which interfaces break?
     impacts, _ = draw_impacts(surface, 4, np.random.default_rng(0))
     broken = checked(simulator, impacts, simulator.thresholds(impacts), simulator.fracture(impacts)).broken
+    kind = severity_kind_of(simulator)
     header = {
         "fracsim": __version__,
         "seed": seed,
         "simulator": made_by,
         "sampling": sampling_rules(),
         "cap": CAP,
-        "units": "lengths in units of the largest extent; severity = impulse / (mass * breaking velocity)",
+        "severity_kind": kind,
+        "units": UNITS[kind],
+        "repeatability": of_itself,
     }
     stage("distances")
     interfaces = interfaces_between(simulator.cells)

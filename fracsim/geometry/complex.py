@@ -8,6 +8,7 @@ import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 
+CHUNK = 10_000  # triangles that points are looked for above at a time, for memory
 Hull = tuple[FloatArray, IntArray]  # vertices (n, 3) and faces (k, 3) of a convex part
 
 
@@ -74,6 +75,35 @@ class CellComplex:
         """
         return vertex_cells(self.triangles, self.sides, len(self.points))[:vertices]
 
+    def cells_at(self, points: FloatArray) -> IntArray:
+        """Find the cell that each of many points lies in.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (K, 3)
+            Anywhere; on a face, either side of it may be the answer.
+
+        Returns
+        -------
+        ndarray of int64, shape (K,)
+            The cell of each point; -1 outside.
+
+        Notes
+        -----
+        The last triangle below a point, along z, has the point's cell on its upper side.
+        """
+        order = np.argsort(points[:, 0], kind="stable")
+        chunks = range(0, len(self.triangles), CHUNK)
+        found = [_triangles_below(points[order], self.points[self.triangles[at : at + CHUNK]]) for at in chunks]
+        face = np.concatenate([rows + at for at, (rows, *_) in zip(chunks, found, strict=True)])
+        point, height, upward = (np.concatenate([parts[k] for parts in found]) for k in (1, 2, 3))
+        last = np.lexsort((height, point))
+        face, point, upward = face[last], point[last], upward[last]
+        result = np.full(len(points), -1)
+        # Of one point's triangles, the highest is assigned last and stays.
+        result[order[point]] = np.where(upward, self.sides[face, 1], self.sides[face, 0])
+        return result
+
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Integrate over every cell; exact for polyhedra.
 
@@ -127,6 +157,31 @@ class CellComplex:
         skin = np.concatenate([self.sides[back, 1] < 0, np.zeros(int(front.sum()), dtype=bool)])
         used, inverse = np.unique(faces, return_inverse=True)
         return separate_pinched_edges(self.points[used], inverse.reshape(-1, 3), skin)
+
+
+def _triangles_below(
+    points: FloatArray, triangles: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, BoolArray]:
+    """Find the triangles (M, 3, 3) below points (K, 3) of rising x: pairs of both, the height, and who faces up."""
+    x, y, z = points.T
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(triangles, 0, -1)
+    # A point and a triangle may meet only if the point's x and y lie within the triangle's.
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    begin = np.searchsorted(x, low[:, 0])
+    count = np.searchsorted(x, high[:, 0], side="right") - begin
+    face = np.repeat(np.arange(len(triangles)), count)
+    point = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count) + begin[face]
+    near = (y[point] >= low[face, 1]) & (y[point] <= high[face, 1])
+    face, point = face[near], point[near]
+    u = (bx[face] - x[point]) * (cy[face] - y[point]) - (by[face] - y[point]) * (cx[face] - x[point])
+    v = (cx[face] - x[point]) * (ay[face] - y[point]) - (cy[face] - y[point]) * (ax[face] - x[point])
+    w = (ax[face] - x[point]) * (by[face] - y[point]) - (ay[face] - y[point]) * (bx[face] - x[point])
+    area = u + v + w  # twice that of the triangle seen along z; positive where its normal points up
+    over = (((u >= 0) & (v >= 0) & (w >= 0)) | ((u <= 0) & (v <= 0) & (w <= 0))) & (area != 0)
+    face, point, area = face[over], point[over], area[over]
+    height = (u[over] * az[face] + v[over] * bz[face] + w[over] * cz[face]) / area
+    below = height <= z[point]
+    return face[below], point[below], height[below], area[below] > 0
 
 
 def separate_pinched_edges(

@@ -1,10 +1,13 @@
-"""The nearest points of triangles; fracture asks for them once an impulse."""
+"""The nearest points of triangles and of surfaces made of them; fracture asks for them once an impulse."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ..common.arrays import FloatArray
+from ..common.arrays import FloatArray, IntArray
+
+NEAREST_FACES = 16  # by their middles, of which the nearest face by distance is one on any mesh of ordinary triangles
 
 
 def closest_on_triangles(points: FloatArray, triangles: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -51,3 +54,38 @@ def closest_on_triangles(points: FloatArray, triangles: FloatArray) -> tuple[Flo
     st = np.where(inside[..., None], np.stack([s, t], -1), on_edge)
     gap = st[..., :1] * u + st[..., 1:] * v - w
     return np.concatenate([1 - st.sum(-1, keepdims=True), st], axis=-1), (gap**2).sum(-1)
+
+
+def closest_on_surface(points: FloatArray, vertices: FloatArray, faces: IntArray) -> tuple[IntArray, FloatArray]:
+    """Find the nearest points of a surface.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (K, 3)
+        Where to measure from.
+    vertices : ndarray of float64, shape (V, 3)
+        Of the surface.
+    faces : ndarray of int64, shape (F, 3)
+        Of the surface; triangles of ordinary shape, as ``solids.surface.refine`` leaves them.
+
+    Returns
+    -------
+    face : ndarray of int64, shape (K,)
+        The face that each nearest point lies on.
+    barycentric : ndarray of float64, shape (K, 3)
+        Where on that face.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    >>> face, barycentric = closest_on_surface(np.array([[1.0, 1.0, 2.0]]), corners, np.array([[0, 1, 2], [1, 3, 2]]))
+    >>> face.tolist(), barycentric.tolist()
+    ([1], [[0.0, 1.0, 0.0]])
+    """
+    count = min(NEAREST_FACES, len(faces))
+    _, nearest = cKDTree(vertices[faces].mean(axis=1)).query(points, k=np.arange(1, count + 1))
+    barycentric, square = closest_on_triangles(points[:, None], vertices[faces[nearest]])
+    best = np.argmin(square, axis=1)
+    row = np.arange(len(points))
+    return np.asarray(nearest[row, best], dtype=np.int64), barycentric[row, best]

@@ -48,3 +48,25 @@ def test_moments_are_those_of_the_solid(cells):
     center = first.sum(axis=0) / zeroth.sum()
     spread = total - zeroth.sum() * np.outer(center, center)
     np.testing.assert_allclose(np.trace(spread) * np.eye(3) - spread, whole.moment_inertia, atol=1e-12)
+
+
+def test_the_cell_at_a_point_is_the_one_that_holds_it(cells):
+    atoms, volumes = cells
+    points = np.random.default_rng(0).uniform(-0.55, 0.55, (4000, 3))
+    found = atoms.cells_at(points)
+    sphere = trimesh.Trimesh(*atoms.surface(np.ones(atoms.count, dtype=bool))[:2], process=False)
+    height = np.einsum("fi,fi->f", sphere.face_normals, sphere.triangles[:, 0])  # of every face over the origin
+    inside = (points @ sphere.face_normals.T <= height).all(axis=1)
+    np.testing.assert_array_equal(found >= 0, inside)
+    counts = np.bincount(found[inside], minlength=atoms.count)
+    np.testing.assert_allclose(counts / inside.sum(), volumes / volumes.sum(), atol=0.01)
+    for cell in (0, atoms.count // 2):
+        # The winding number of the cell's own surface: 1 within, 0 without.
+        vertices, faces, _ = atoms.surface(np.arange(atoms.count) == cell)
+        a, b, c = np.moveaxis(vertices[faces] - points[:200, None, None], 2, 0)
+        la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
+        top = np.einsum("pfi,pfi->pf", a, np.cross(b, c))
+        dots = (np.einsum("pfi,pfi->pf", v, w) for v, w in ((a, b), (b, c), (c, a)))
+        ab, bc, ca = dots
+        winding = 2 * np.arctan2(top, la * lb * lc + ab * lc + bc * la + ca * lb).sum(axis=1) / (4 * np.pi)
+        np.testing.assert_array_equal(found[:200] == cell, winding > 0.5)

@@ -218,7 +218,7 @@ def test_a_name_that_nothing_has_is_refused_with_those_that_are_there():
     for ask in (lambda: simulator_class("guess"), lambda: SimulatorOptions(name="guess")):
         with pytest.raises(
             fracsim.BakeError,
-            match="unknown simulator 'guess'; use modal or structural or sequential or elastic or radial",
+            match="unknown simulator 'guess'; use modal or .*elastic or radial",
         ):
             ask()
 
