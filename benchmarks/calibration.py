@@ -1,11 +1,11 @@
-"""Calibrate the breaking rule on an everyday object: from what height does a dropped mug break?
+"""Calibrate the modal simulator on an everyday object: from what height does a dropped mug break?
 
 python benchmarks/calibration.py            # writes benchmarks/results/calibration.{json,md,png}
 
 A ceramic mug of 0.1 m falls in random orientations onto a rigid floor, its lowest point takes the impact of a
 rigid body, and the simulator says at which speed the mug would break: lose a tenth of its mass or more, a
-smaller chip being no break. material.GAUGE is right when half of the falls break it from below the geometric
-mean of 0.2 m, which a mug survives, and 1 m, which it does not. The same is tabulated for every preset.
+smaller chip being no break. GAUGE of simulators.diffusion is right when half of the falls break it from below the
+geometric mean of 0.2 m, which a mug survives, and 1 m, which it does not. The same is tabulated for every preset.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import manifold3d
 import numpy as np
 import trimesh
 
-from fracsim.common.material import GAUGE, PRESETS
+from fracsim.common.material import PRESETS
 from fracsim.fracture.rule import components, load_ratios, weakest_cut
+from fracsim.simulators.diffusion import GAUGE
 from fracsim.simulators.modal import ModalSimulator
 from fracsim.simulators.registry import SimulatorOptions
 from fracsim.solids.surface import read_surface
@@ -80,7 +81,7 @@ def main() -> None:
     for name, (size, _) in objects.items():
         for material in PRESETS.values():
             chip, broken = (
-                np.percentile((speed * material.breaking_velocity) ** 2 / (2 * GRAVITY), (10, 50, 90))
+                np.percentile((speed * GAUGE * material.critical_velocity) ** 2 / (2 * GRAVITY), (10, 50, 90))
                 for speed in speeds[name]
             )
             rows.append({"object": name, "size": size, "material": material.name, "chip": chip.tolist()})
@@ -118,7 +119,7 @@ def main() -> None:
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(7, 4))
-    ceramic_velocity = PRESETS["ceramic"].breaking_velocity
+    ceramic_velocity = GAUGE * PRESETS["ceramic"].critical_velocity
     for (name, (size, _)), color in zip(objects.items(), ("C0", "C1", "C2", "C3"), strict=True):
         for speed, style, what in zip(speeds[name], ("--", "-"), ("chips", "breaks"), strict=True):
             heights = np.sort((speed * ceramic_velocity) ** 2 / (2 * GRAVITY))

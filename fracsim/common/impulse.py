@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
 from .arrays import FloatArray
-from .checks import finite_vector, is_number
+from .checks import Vector, finite_vector, is_number
+from .contact import HALF_SINE, LOAD_DURATION
 from .errors import ImpulseError
 
 
@@ -24,6 +26,9 @@ class Impulse:
         Where it pushes the body; of any length but zero.
     magnitude : float
         N·s, at least 0.
+    duration : float, optional
+        s, for which the contact lasts, above 0. None: that of something hard and heavy, by the contact law
+        (`fracsim.common.contact`).
 
     Attributes
     ----------
@@ -33,6 +38,8 @@ class Impulse:
         Where it pushes the body, as a unit vector. Read-only.
     magnitude : float
         N·s.
+    duration : float or None
+        s.
 
     Raises
     ------
@@ -50,6 +57,7 @@ class Impulse:
     point: FloatArray
     direction: FloatArray
     magnitude: float
+    duration: float | None = None
 
     def __post_init__(self) -> None:
         point = finite_vector(self.point, "impulse point", 3, ImpulseError)
@@ -66,6 +74,49 @@ class Impulse:
         object.__setattr__(self, "point", point)
         object.__setattr__(self, "direction", direction)
         object.__setattr__(self, "magnitude", float(self.magnitude))
+        if self.duration is not None:
+            if not is_number(self.duration) or self.duration <= 0.0:
+                raise ImpulseError(f"impulse duration must be finite and above 0 s, or None, got {self.duration!r}")
+            object.__setattr__(self, "duration", float(self.duration))
+
+    @classmethod
+    def from_force(cls, point: Vector, direction: Vector, force: float) -> Self:
+        """Describe a force that lasts: a weight, a grip.
+
+        Parameters
+        ----------
+        point, direction : array_like, shape (3,)
+            As of `Impulse`.
+        force : float
+            N, at least 0.
+
+        Returns
+        -------
+        Impulse
+            Its `peak_force` is the force. As an impulse, which simulators count in that know no forces, it is what
+            the force gives in `LOAD_DURATION`.
+        """
+        return cls(np.asarray(point), np.asarray(direction), force * LOAD_DURATION, HALF_SINE * LOAD_DURATION)
+
+    @property
+    def peak_force(self) -> float | None:
+        """N, the largest force of the contact, a half-sine pulse; None where it follows from what is struck."""
+        return None if self.duration is None else HALF_SINE * self.magnitude / self.duration
+
+    def times(self, factor: float) -> Impulse:
+        """Make the same impulse stronger or weaker.
+
+        Parameters
+        ----------
+        factor : float
+            At least 0, on the magnitude, and on the force where the duration is known.
+
+        Returns
+        -------
+        Impulse
+            Of the same duration.
+        """
+        return Impulse(self.point, self.direction, self.magnitude * factor, self.duration)
 
 
 def as_impulses(impulses: Impulse | Sequence[Impulse]) -> tuple[Impulse, ...]:

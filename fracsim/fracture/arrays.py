@@ -59,6 +59,9 @@ class AssetArrays:
         The atom of each.
     body_points, body_faces, body_sizes : ndarray
         The same three of the convex parts of the whole body.
+    compliance : ndarray of float64, shape (V,), or None
+        How far the surface at each vertex gives way to a unit force, beyond what the body moves as a whole; in units of
+        1 / (Young's modulus * largest extent). None where the simulator does not know it: then the body does not bend.
     """
 
     faces: IntArray
@@ -79,6 +82,7 @@ class AssetArrays:
     body_points: FloatArray
     body_faces: IntArray
     body_sizes: IntArray
+    compliance: FloatArray | None = None
 
     @property
     def prepared(self) -> bool:
@@ -221,12 +225,19 @@ class SimulatorRecord:
     driven_by_impact_field : bool
         Whether the simulator breaks what the breaking rule breaks under the impact field that the asset carries. Then
         the asset can answer as the simulator does; any other is known by its samples alone.
+    severity_kind : str
+        What severities are: "impulse", over mass, gauge and critical velocity; or "force", the peak force over tensile
+        strength and the square of the largest extent.
+    gauge : float
+        Where they are impulses, the share of the critical velocity that breaks an interface.
     """
 
     simulator: str = "modal"
     min_severity: float = 0.0
     typical_severity: float = 1.0
     driven_by_impact_field: bool = True
+    severity_kind: str = "impulse"
+    gauge: float = 0.24  # of all files that do not say
 
 
 @dataclass(frozen=True, eq=False)

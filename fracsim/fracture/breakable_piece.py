@@ -16,6 +16,7 @@ from ..common.material import Material
 from .arrays import Domain
 from .pieces import ConvexParts, Piece
 from .result import Fracture
+from .severity import MassProperties
 
 if TYPE_CHECKING:
     from .asset import BreakableAsset
@@ -89,6 +90,36 @@ class BreakablePiece:
         """N·s; impulses that sum to less break nothing, wherever they act."""
         return self.asset.bearable_impulse
 
+    @property
+    def severity_kind(self) -> str:
+        """What breaks it, as the asset's simulator counts it: "impulse" or "force"."""
+        return self.asset.severity_kind
+
+    @property
+    def bearable_force(self) -> float:
+        """N; lasting forces that sum to less break nothing, wherever they act."""
+        return self.asset.bearable_force
+
+    @property
+    def mass_properties(self) -> MassProperties:
+        """Mass, centre of mass and inertia."""
+        return MassProperties(self.piece.mass, self.piece.center_of_mass, self.piece.inertia)
+
+    def compliance_at(self, points: FloatArray) -> FloatArray:
+        """Look up how far the asset's surface gives way to forces where the piece has it.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (K, 3)
+            m, in the asset's frame.
+
+        Returns
+        -------
+        ndarray of float64, shape (K,)
+            m/N, of the whole asset.
+        """
+        return self.asset.query.severity.compliance_at(*self.locate(points))
+
     def may_break(self, impulses: Impulse | Sequence[Impulse]) -> bool:
         """Tell whether impulses can break the piece; asks no model.
 
@@ -106,7 +137,7 @@ class BreakablePiece:
         if len(self.piece.atoms) == 1:
             return False
         query = self.asset.query
-        return query.may_break(query.on_surface(impulses, self.locate), whole=False)
+        return query.may_break(query.on_surface(impulses, self.locate, self.mass_properties), whole=False)
 
     def fracture(
         self, impulses: Impulse | Sequence[Impulse], predictor: str = "field", *, skip_weak: bool = True
@@ -127,7 +158,8 @@ class BreakablePiece:
         Fracture
             Its pieces, of the asset's atoms again. The severity counts the piece's own mass.
         """
-        return self.asset.query.fracture(as_impulses(impulses), predictor, skip_weak, self.domain, self.locate)
+        query, impulses = self.asset.query, as_impulses(impulses)
+        return query.fracture(impulses, predictor, skip_weak, self.domain, self.locate, self.mass_properties)
 
     def unbroken(self) -> Fracture:
         """Return the answer to no impulse at all; asks no model.

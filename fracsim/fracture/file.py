@@ -22,13 +22,17 @@ from ..common.arrays import FloatArray
 from ..common.checks import is_number, vector_of
 from ..common.errors import AssetError, MaterialError
 from ..common.files import compact, header_of
-from ..common.material import Material
+from ..common.material import PRESETS, Material
 from .arrays import AssetArrays, SimulatorRecord
 from .predictor import FieldWeights
 
 FORMAT = 3
 SUFFIX = ".frac"
 BAKE_AGAIN = "bake it again with: fracsim bake MESH --out FILE.frac"
+OPTIONAL = {  # entries that came later, so that files of this format may lack them
+    *("compliance", "severity_kind", "gauge"),
+    *("youngs_modulus", "poisson_ratio", "weibull_modulus"),
+}
 UNSIGNED = b"00000000"  # stands for the checksum where the checksum itself is computed
 CHECKSUM = re.compile(rb'\\"checksum\\": \\"([0-9a-f]{8})\\"')  # as it stands in the file: JSON within JSON
 
@@ -102,7 +106,8 @@ def pack(contents: AssetContents) -> bytes:
     """
     from safetensors.numpy import save
 
-    tensors = {f"asset.{name}": compact(getattr(contents.arrays, name)) for name in AssetArrays.__dataclass_fields__}
+    arrays = {name: getattr(contents.arrays, name) for name in AssetArrays.__dataclass_fields__}
+    tensors = {f"asset.{name}": compact(value) for name, value in arrays.items() if value is not None}
     tensors |= {f"model.{name}": np.ascontiguousarray(getattr(contents.model, name)) for name in FieldWeights.names()}
     header = {
         "format": FORMAT,
@@ -216,7 +221,8 @@ def _contents(tensors: dict[str, npt.NDArray[Any]], header: dict[str, Any], wher
         value = tensors[name]
         return value.astype(np.int64) if value.dtype.kind == "i" and name.startswith("asset.") else value
 
-    arrays = AssetArrays(**{name: entry(f"asset.{name}") for name in AssetArrays.__dataclass_fields__})
+    present = [name for name in AssetArrays.__dataclass_fields__ if name not in OPTIONAL or f"asset.{name}" in tensors]
+    arrays = AssetArrays(**{name: entry(f"asset.{name}") for name in present})
     model = FieldWeights(**{name: entry(f"model.{name}") for name in FieldWeights.names()})
     for name in ("scale", "cap", "min_piece_volume_fraction"):
         if not is_number(header.get(name)):
@@ -225,17 +231,21 @@ def _contents(tensors: dict[str, npt.NDArray[Any]], header: dict[str, Any], wher
     if offset is None or not np.isfinite(offset).all():
         raise malformed("offset")
     for name, names in (("material", Material), ("baked_from", SimulatorRecord)):
-        if not isinstance(header.get(name), dict) or set(header[name]) != set(names.__dataclass_fields__):
+        known = set(names.__dataclass_fields__)
+        if not isinstance(header.get(name), dict) or not known - OPTIONAL <= set(header[name]) <= known:
             raise malformed(name)
-    for name in ("min_severity", "typical_severity"):
-        if not is_number(header["baked_from"][name]):
+    baked_from = asdict(SimulatorRecord()) | header["baked_from"]
+    for name in ("min_severity", "typical_severity", "gauge"):
+        if not is_number(baked_from[name]):
             raise malformed("baked_from", name)
-    if not isinstance(header["baked_from"]["driven_by_impact_field"], bool):
+    if not isinstance(baked_from["driven_by_impact_field"], bool):
         raise malformed("baked_from", "driven_by_impact_field")
+    if baked_from["severity_kind"] not in ("impulse", "force"):
+        raise malformed("baked_from", "severity_kind")
     if not isinstance(header.get("metadata"), dict):
         raise malformed("metadata")
     try:
-        material = Material(**header["material"])
+        material = _material(header["material"])
     except MaterialError as error:
         raise malformed("material", error) from error
     return AssetContents(
@@ -248,8 +258,16 @@ def _contents(tensors: dict[str, npt.NDArray[Any]], header: dict[str, Any], wher
         arrays=arrays,
         model=model,
         metadata=header["metadata"],
-        baked_from=SimulatorRecord(**header["baked_from"]),
+        baked_from=SimulatorRecord(**baked_from),
     )
+
+
+def _material(properties: dict[str, Any]) -> Material:
+    """Read a material. Files of before elastic constants have those of the preset, where it is one."""
+    preset = PRESETS.get(properties["name"]) if isinstance(properties["name"], str) else None
+    if preset is not None and preset.to_dict() | properties == preset.to_dict():
+        return preset
+    return Material(**properties)
 
 
 def contradictions(arrays: AssetArrays, model: FieldWeights) -> Iterator[str]:
@@ -280,6 +298,8 @@ def contradictions(arrays: AssetArrays, model: FieldWeights) -> Iterator[str]:
         lowest = -1 if name in ("sides", "interface_vertices") else 0
         if values.size and not (lowest <= values.min() and values.max() < limit):
             yield f"{name} points outside its range"
+    if arrays.compliance is not None and (arrays.compliance.shape != (vertices,) or (arrays.compliance < 0.0).any()):
+        yield "the compliance does not fit the vertices, or is negative"
     if vertices > len(arrays.points) or len(model.coordinates) != vertices:
         yield "the numbers of vertices do not agree"
     if (

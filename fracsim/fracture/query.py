@@ -18,10 +18,11 @@ from ..common.impulse import Impulse
 from ..common.material import Material
 from ..geometry.locate import closest_on_triangles
 from .arrays import AssetArrays, Domain, SimulatorRecord
-from .assemble import assemble_pieces
+from .assemble import assemble_pieces, mass_properties
 from .predictor import FieldWeights, field_from_scores, minimax_scores
 from .result import Fracture, LateVertexAnswer
 from .rule import components, load_ratios, merge_small_pieces, separated
+from .severity import MassProperties, SeverityScale
 
 PREDICTORS = ("field", "interfaces", "simulator")
 ALIASES = {"modes": "simulator"}  # what it was called before
@@ -44,7 +45,7 @@ class SurfaceImpulses:
     directions : ndarray of float64, shape (K, 3)
         Unit vectors.
     severities : ndarray of float64, shape (K,)
-        Impulse over mass times breaking velocity, of the whole asset.
+        How hard each is for the asset (`fracsim.fracture.severity`).
     """
 
     corners: IntArray
@@ -111,9 +112,15 @@ class FractureQuery:
         return self.volume * self.material.density
 
     @cached_property
-    def unit_impulse(self) -> float:
-        """N·s, an impulse of severity 1."""
-        return self.mass * self.material.breaking_velocity
+    def mass_properties(self) -> MassProperties:
+        """Mass, centre of mass and inertia of the whole."""
+        atoms = np.arange(self.arrays.complex.count)
+        return MassProperties(*mass_properties(self.arrays, atoms, self.material.density, self.scale, self.offset)[1:])
+
+    @cached_property
+    def severity(self) -> SeverityScale:
+        """What turns impulses into severities."""
+        return SeverityScale.of(self.baked_from, self.arrays, self.material, self.scale, self.mass)
 
     @cached_property
     def weakest(self) -> tuple[FloatArray, FloatArray]:
@@ -149,7 +156,9 @@ class FractureQuery:
         row = np.arange(len(points))
         return arrays.faces[nearest[row, best]], barycentric[row, best]
 
-    def on_surface(self, impulses: Sequence[Impulse], locate: Locator | None = None) -> SurfaceImpulses:
+    def on_surface(
+        self, impulses: Sequence[Impulse], locate: Locator | None = None, body: MassProperties | None = None
+    ) -> SurfaceImpulses:
         """Bring impulses to the surface and to severities.
 
         Parameters
@@ -158,6 +167,8 @@ class FractureQuery:
             What acts together.
         locate : callable, optional
             Finds the surface points; `FractureQuery.locate` by default.
+        body : MassProperties, optional
+            Of the piece that is struck; of the whole asset by default.
 
         Returns
         -------
@@ -166,8 +177,27 @@ class FractureQuery:
         """
         corners, barycentric = (locate or self.locate)(np.array([impulse.point for impulse in impulses]))
         directions = np.array([impulse.direction for impulse in impulses])
-        severities = np.array([impulse.magnitude for impulse in impulses]) / self.unit_impulse
+        points = self.points_at(corners, barycentric)
+        severities = self.severity.severities(impulses, corners, barycentric, points, body or self.mass_properties)
         return SurfaceImpulses(corners, barycentric, directions, severities)
+
+    def points_at(self, corners: IntArray, barycentric: FloatArray) -> FloatArray:
+        """Compute where points of the surface are.
+
+        Parameters
+        ----------
+        corners : ndarray of int64, shape (K, 3)
+            Vertices of faces.
+        barycentric : ndarray of float64, shape (K, 3)
+            Where on these.
+
+        Returns
+        -------
+        ndarray of float64, shape (K, 3)
+            m.
+        """
+        local = np.einsum("kc,kcx->kx", barycentric, self.arrays.points[corners])
+        return np.asarray(local * self.scale + self.offset)
 
     def may_break(self, impulses: SurfaceImpulses, whole: bool = True) -> bool:
         """Tell whether impulses can break anything; asks no model.
@@ -198,6 +228,7 @@ class FractureQuery:
         skip_weak: bool = True,
         domain: Domain | None = None,
         locate: Locator | None = None,
+        body: MassProperties | None = None,
     ) -> Fracture:
         """Answer what impulses that act together do.
 
@@ -213,6 +244,8 @@ class FractureQuery:
             The atoms of a piece that is struck; the whole asset by default.
         locate : callable, optional
             Finds the surface points of that piece.
+        body : MassProperties, optional
+            Of that piece.
 
         Returns
         -------
@@ -237,13 +270,14 @@ class FractureQuery:
         begin = time.perf_counter()
         whole = domain is None
         domain = domain or self.arrays.whole
-        located = self.on_surface(impulses, locate)
+        located = self.on_surface(impulses, locate, body)
         severities = located.severities
         total, limit = float(severities.sum()), float(self.model.severity[0])
         clamped = predictor != "simulator" and total > limit
         if clamped:
             severities *= limit / total
-        answer = _Answer(domain, predictor, total / domain.share, clamped, {"impulse": _ms(begin)})
+        own = 1.0 if self.severity.is_force else domain.share  # a lighter piece takes an impulse harder
+        answer = _Answer(domain, predictor, total / own, clamped, {"impulse": _ms(begin)})
         begin = time.perf_counter()
         pairs, count = domain.interfaces.pairs, len(domain.atoms)
         if predictor == "simulator":

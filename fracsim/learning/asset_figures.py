@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..common.impulse import Impulse
 from ..data.samples import TEST_SPLIT, Samples
 from ..fracture.asset import BreakableAsset
 from ..fracture.predictor import field_of_labels
@@ -51,20 +50,19 @@ def evaluate_asset(
     count = min(max_impulses, len(test))
     nearest = Nearest.fit(body, samples, NearestOptions(), 0)[0].predict_labels(test.take(slice(count)).impacts)
     points = SurfacePoints(asset.vertices, asset.faces)
-    unit = asset.mass * asset.material.breaking_velocity  # N·s of an impulse of severity 1
     vertex_atom, pairs, distances = asset.arrays.vertex_atom, asset.arrays.pairs, asset.arrays.distances
     rows: list[tuple[float, ...]] = []
     broke = np.zeros((count, 3), dtype=bool)  # in truth, by the asset, by the nearest impulse
     for k in range(count):
         active = np.flatnonzero(test.severities[k])
         contacts = zip(
+            test.severities[k, active].tolist(),
             points.at(test.faces[k, active], test.barycentric[k, active]),
             test.directions[k, active],
-            test.severities[k, active] * unit,
             strict=True,
         )
         # What skips weak impulses follows from the simulator; a model is judged by its own answers.
-        fracture = asset.fracture([Impulse(*contact) for contact in contacts], skip_weak=False)
+        fracture = asset.fracture([asset.impulse_of(*contact) for contact in contacts], skip_weak=False)
         broke[k] = test.labels[k].any(), fracture.broken, nearest[k].any()
         if broke[k, 0]:
             truth = test.labels[k][vertex_atom]

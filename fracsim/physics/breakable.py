@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from ..common.contact import LOAD_DURATION
 from ..common.errors import PhysicsError
 
 if TYPE_CHECKING:
@@ -32,6 +33,50 @@ class BreakableMaterial(Protocol):
     @property
     def fracture_energy(self) -> float:
         """Energy that opens a unit of crack area, J/m²."""
+
+
+@runtime_checkable
+class ElasticMaterial(Protocol):
+    """What the contact law needs to know of a material besides; `fracsim.Material` has it."""
+
+    @property
+    def youngs_modulus(self) -> float:
+        """Young's modulus, Pa."""
+
+    @property
+    def poisson_ratio(self) -> float:
+        """Poisson's ratio."""
+
+
+@runtime_checkable
+class ElasticBreakable(Protocol):
+    """What a breakable thing has besides if it gives way to forces. Others count as rigid."""
+
+    @property
+    def material(self) -> ElasticMaterial:
+        """Material of the whole object."""
+
+    @property
+    def severity_kind(self) -> str:
+        """What breaks it: "impulse", or "force", the peak force of contacts."""
+
+    @property
+    def bearable_force(self) -> float:
+        """Lasting force that breaks nothing wherever it acts, alone or as the sum of several, N."""
+
+    def compliance_at(self, points: FloatArray) -> FloatArray:
+        """Give how far the surface gives way to a force, beyond what the body moves as a whole.
+
+        Parameters
+        ----------
+        points : ndarray of float64, shape (K, 3)
+            m, in the object's frame.
+
+        Returns
+        -------
+        ndarray of float64, shape (K,)
+            m/N.
+        """
 
 
 class Breakable(Protocol):
@@ -155,6 +200,24 @@ class BreakableObject(Breakable, Protocol):
         FracsimError
             Where the model has no answer that makes sense, as `fracture`.
         """
+
+
+def bearable_force_of(thing: Breakable) -> float:
+    """Give the lasting force that a thing surely bears.
+
+    Parameters
+    ----------
+    thing : Breakable
+        The thing.
+
+    Returns
+    -------
+    float
+        N; where it knows impulses only, the force that gives a bearable one in `LOAD_DURATION`.
+    """
+    if isinstance(thing, ElasticBreakable):
+        return thing.bearable_force
+    return thing.bearable_impulse / LOAD_DURATION
 
 
 _MEMBERS = tuple(

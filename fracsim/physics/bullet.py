@@ -463,7 +463,8 @@ class Engine:
         else:
             center, axes = p.getLinkState(body, link, physicsClientId=self.client)[:2]
         jointed = self.is_articulated(body)
-        return RigidBody(info[0], np.array(info[2]), np.array(center), rotation_of(axes), info[5], info[1], jointed)
+        turned = rotation_of(axes)
+        return RigidBody(info[0], np.array(info[2]), np.array(center), turned, info[5], info[1], jointed, info[9])
 
     # What pieces take over, and what goes
 

@@ -97,6 +97,6 @@ def multiplied(impulses: Sequence[Impulse], factor: float) -> tuple[Impulse, ...
     Returns
     -------
     tuple of Impulse
-        The same points and directions, other magnitudes.
+        The same points, directions and durations, other magnitudes.
     """
-    return tuple(Impulse(impulse.point, impulse.direction, impulse.magnitude * factor) for impulse in impulses)
+    return tuple(impulse.times(factor) for impulse in impulses)

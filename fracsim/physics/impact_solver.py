@@ -30,9 +30,6 @@ class ContactSettings:
         Time within which impacts on a body act together, s: those of the corners of a flat landing come within it.
     simultaneous_window : float
         Time within which contacts that begin share one impact, s: about what sound takes through 0.3 m of ceramic.
-    load_duration : float
-        Time, s, by which a lasting force is multiplied to count as an impulse: about as long as an impact of hard
-        things lasts.
     friction_sweeps : int
         Sweeps over the contacts of an impact to find their friction; more change nothing that a model sees.
     negligible_share : float
@@ -49,7 +46,6 @@ class ContactSettings:
     least_steps_of_fall: float = 3.0
     impact_window: float = 0.01
     simultaneous_window: float = 1e-4
-    load_duration: float = 1e-3
     friction_sweeps: int = 10
     negligible_share: float = 1e-3
     many_contacts: int = 32
@@ -93,6 +89,11 @@ class ImpactSolver:
         # The engine multiplies the coefficients of two bodies.
         self._restitution = np.array([rigids[0].restitution * rigids[side].restitution for side in sides])
         self._friction = np.array([rigids[0].friction * rigids[side].friction for side in sides])
+
+    @property
+    def restitution(self) -> FloatArray:
+        """(n,) coefficients of the contacts."""
+        return self._restitution
 
     def accelerate(self, change: FloatArray) -> None:
         """Change the velocity of every body that is free to move.

@@ -6,7 +6,7 @@ before the step is. `Verdicts` asks the model with the impulses that come out of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +18,43 @@ from .bodies import Body
 from .bullet import Engine
 from .impact_solver import SETTINGS, ImpactSolver, complementary_impulses, inverse_inertia
 from .rotations import rotation_of
-from .states import AT_REST, BodyContacts, Motion, Placement, RigidBody, Triple
+from .states import AT_REST, BodyContacts, BodyLink, Motion, Placement, RigidBody, Triple
 
-LOAD_DURATION = SETTINGS.load_duration  # s
 SLOW_SHARE = 0.25  # of a limit; three components of speed and three of spin below it add up to about the limit
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedContact:
+    """A contact of a breakable body that has closed.
+
+    Attributes
+    ----------
+    other : (int, int)
+        Body and link of what it is with; link -1 is the base.
+    stiffness : float
+        Of soft contacts with that, as the engine has it, N/m; 0 or less where it was not set.
+    point : ndarray of float64, shape (3,)
+        m, world frame.
+    place : ndarray of float64, shape (3,)
+        m, in the frame of the struck body's asset.
+    speed : float
+        m/s, at which it closed.
+    impulse : float
+        N·s.
+    energy : float
+        J, that it takes until nothing closes any more.
+    delay : float
+        s, after the first impact of the step; contacts of the same delay begin together.
+    """
+
+    other: BodyLink
+    stiffness: float
+    point: FloatArray
+    place: FloatArray
+    speed: float
+    impulse: float
+    energy: float
+    delay: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +75,8 @@ class ContactImpulse:
         The same in the frame of the asset, as the model sees it (m, N·s).
     moving : bool
         Whether the other body is not static.
+    energy : float
+        J, that the contact takes until nothing closes any more; 0 for a sustained load.
     delay : float
         Time after the first impact of the same step, s.
     sustained : bool
@@ -56,6 +91,7 @@ class ContactImpulse:
     closing_speed: float
     impulse: Impulse
     moving: bool
+    energy: float = 0.0
     delay: float = 0.0
     sustained: bool = False
 
@@ -113,6 +149,7 @@ def predict_impacts(
     contacts: BodyContacts,
     placement: Placement,
     motion_of: Callable[[int, int], Motion],
+    durations_of: Callable[[Sequence[ClosedContact], float], list[float | None]],
     dt: float,
     gravity: Triple,
 ) -> list[ContactImpulse]:
@@ -130,6 +167,8 @@ def predict_impacts(
         Where it was before the step.
     motion_of : callable
         Maps a body and its link to how it moved before the step.
+    durations_of : callable
+        Gives the duration of contacts, s, as `ContactDurations.of` returns it.
     dt : float
         Time step, s.
     gravity : tuple of float
@@ -167,18 +206,33 @@ def predict_impacts(
     gaps = np.maximum(closing * first - contacts.depths, 0.0)
     places = (points - before.position) @ before.rotation  # (n, 3) asset frame
     pushes = normals @ before.rotation
+    sequence = solver.sequence(gaps, threshold)
+    closed = [
+        ClosedContact(
+            others[i],
+            strikers[others[i]].contact_stiffness,
+            points[i],
+            places[i],
+            speed,
+            size,
+            0.5 * size * max(speed, 0.0) / (1.0 + float(solver.restitution[i])),
+            delay,
+        )
+        for delay, i, speed, size in sequence
+    ]
     return [
         ContactImpulse(
             body.id,
-            *others[i],
-            points[i],
+            *contact.other,
+            contact.point,
             normals[i],
-            speed,
-            Impulse(places[i], pushes[i], size),
-            strikers[others[i]].mass > 0.0,
-            delay,
+            contact.speed,
+            Impulse(contact.place, pushes[i], contact.impulse, duration),
+            strikers[contact.other].mass > 0.0,
+            contact.energy,
+            contact.delay,
         )
-        for delay, i, speed, size in solver.sequence(gaps, threshold)
+        for (_, i, _, _), contact, duration in zip(sequence, closed, durations_of(closed, threshold), strict=True)
     ]
 
 
@@ -207,7 +261,7 @@ def sustained_impulses(
     Returns
     -------
     list of ContactImpulse
-        Each force times `LOAD_DURATION`, without the share that the body's own weight takes.
+        Each force, as `Impulse.from_force` describes it, without the share that the body's own weight takes.
 
     Notes
     -----
@@ -235,7 +289,7 @@ def sustained_impulses(
             contacts.points[i],
             contacts.normals[i],
             0.0,
-            Impulse(places[i], pushes[i], float(force) * share * LOAD_DURATION),
+            Impulse.from_force(places[i], pushes[i], float(force) * share),
             not engine.is_static(contacts.others[i][0]),
             sustained=True,
         )

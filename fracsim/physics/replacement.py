@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 from ..common.errors import PhysicsError
 from ..fracture.pieces import ConvexParts
 from .bodies import PIECE_COLOURS, Body, spawn
+from .breakable import bearable_force_of
 from .bullet import Engine
 from .energy import EnergyBalance, RigidStates
 from .events import FractureEvent
-from .impacts import LOAD_DURATION
 from .last_step import LastStep
 from .live_convex import Refinement, asset_of, refined_now
 from .records import BodyRecord
@@ -229,7 +229,7 @@ class Replacement:
         breakable = parent.breakable.breakable_piece(solid)
         if breakable.volume_fraction < self.settings.smallest:
             return
-        bearable_force = breakable.bearable_impulse / LOAD_DURATION
+        bearable_force = bearable_force_of(breakable)
         record = BodyRecord(piece, breakable, parent.damping, breakable.reach, bearable_force, generation)
         record.immune_to = immune_to
         record.immune_until = self._state.clock.time + self.settings.immunity

@@ -148,6 +148,8 @@ class RigidBody:
         Coefficients.
     jointed : bool
         Whether it has joints, which hold it up.
+    contact_stiffness : float
+        Of soft contacts with it, N/m; 0 or less where nobody has set it.
     """
 
     mass: float
@@ -157,6 +159,7 @@ class RigidBody:
     restitution: float
     friction: float
     jointed: bool
+    contact_stiffness: float = 0.0
 
 
 class BodyContacts:

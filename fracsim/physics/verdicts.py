@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..common.errors import FracsimError
+from .contact_durations import ContactDurations
 from .fatigue import damage_of, felt_impulses
 from .impact_solver import IMPACT_WINDOW
 from .impacts import ContactImpulse, predict_impacts, sustained_impulses
@@ -109,6 +110,7 @@ class Verdicts:
     def __init__(self, state: WorldState, last_step: LastStep, fatigue: float | None) -> None:
         self._state = state
         self._last_step = last_step
+        self._durations = ContactDurations(state.engine, state.clock, state.records, state.materials)
         self.fatigue = fatigue
         self._warned: set[tuple[str, str]] = set()
 
@@ -174,8 +176,10 @@ class Verdicts:
         placement = state.engine.placement_before(body.id, clock.time_step)
         if is_loaded:
             return sustained_impulses(state.engine, body, contacts, placement, clock.gravity)
-        motion_before = self._last_step.motion_before
-        return predict_impacts(state.engine, body, contacts, placement, motion_before, clock.time_step, clock.gravity)
+        motion_before, durations_of = self._last_step.motion_before, self._durations.of(record.breakable)
+        return predict_impacts(
+            state.engine, body, contacts, placement, motion_before, durations_of, clock.time_step, clock.gravity
+        )
 
     # Who breaks
 

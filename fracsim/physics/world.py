@@ -13,12 +13,13 @@ from ..common.arrays import FloatArray
 from ..common.checks import Vector, at_least
 from ..common.errors import PhysicsError
 from ..common.impulse import Impulse, as_impulses
+from ..common.material import ContactMaterial, Material
 from .bodies import WHOLE_COLOUR, spawn
-from .breakable import BreakableObject, require_breakable
+from .breakable import BreakableObject, bearable_force_of, require_breakable
 from .bullet import Engine
 from .energy import EnergyBalance, Running
 from .events import FractureEvent
-from .impacts import LOAD_DURATION, ContactImpulse
+from .impacts import ContactImpulse
 from .last_step import LastStep
 from .live_convex import asset_of
 from .placing import contact_properties_of, pose_of, scaled
@@ -161,8 +162,8 @@ class World:
 
         Impacts on a body within 10 ms act together, as those on the corners of a flat landing. When it breaks, all
         that contacts and constraints join to it goes back to before the step, and its pieces take its place: the next
-        step brings the impact again, and they live it. A force that lasts counts as the impulse of 1 ms of it,
-        without what the body's own weight takes.
+        step brings the impact again, and they live it. A force that lasts counts too (where the asset's simulator counts
+        impulses, as that of 1 ms of it), without what the body's own weight takes.
 
         Returns
         -------
@@ -300,7 +301,7 @@ class World:
         self._verdicts.prepare(asset)
         [body] = spawn(self._engine, [asset], pose, surface, [WHOLE_COLOUR] if self.visuals else None)
         self._state.forget(body.id)  # a body of this id that somebody removed
-        bearable_force = asset.bearable_impulse / LOAD_DURATION
+        bearable_force = bearable_force_of(asset)
         damping = surface.linear_damping, surface.angular_damping
         self._activity.add(BodyRecord(body, asset, damping, asset.reach, bearable_force))
         return body.id
@@ -353,6 +354,33 @@ class World:
         if len(fracture.pieces) < 2:
             return FractureEvent(body, (), impulses, fracture, self.time, timings, generation=record.generation)
         return self._replacement.replace_now(Break(record, impulses, fracture, frozenset(), timings))
+
+    def set_material(
+        self, body: int, material: str | Material | ContactMaterial | None, link: int | None = None
+    ) -> None:
+        """Say what a body is made of that does not break; what nobody named is hard.
+
+        Parameters
+        ----------
+        body : int
+            Its id: a floor, a table, a robot. Breakable bodies and their pieces are of their asset's material.
+        material : str, Material or ContactMaterial, optional
+            "steel", "stone", "wood", "rubber", "foam", "skin" (a robot's finger pads), "carpet"; another preset's name,
+            or a material of your own. None: hard again.
+        link : int, optional
+            Of a robot, which link; -1 is the base. None: all of it that is not named apart.
+
+        Raises
+        ------
+        PhysicsError
+            Where there is no such body, or it breaks.
+        MaterialError
+            Where there is no such material.
+        """
+        self._state.forget_removed()
+        if body in self._state.records or body in self._pieces:
+            raise PhysicsError(f"body {body} is of its asset's material; use asset.with_material before World.add")
+        self._state.materials.set(body, link, material)
 
     def wake(self, body: int | None = None) -> None:
         """Look at a body, or at all of them, in the next step whatever they do.

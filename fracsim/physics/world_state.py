@@ -13,6 +13,7 @@ from .activity import Activity
 from .bodies import Body
 from .bullet import Engine
 from .clock import Clock
+from .contact_materials import ContactMaterials
 from .records import BodyRecord
 from .spin import GyroscopicCorrection
 
@@ -40,6 +41,8 @@ class WorldState:
         Pieces whose spin is corrected after each step.
     pieces : dict of int to Body
         Pieces of what broke, by id; those that break no more too.
+    materials : ContactMaterials
+        What the bodies are made of that do not break.
     damping : dict of int to tuple of float
         Linear and angular damping of the pieces, 1/s; the engine does not tell them.
     """
@@ -50,6 +53,7 @@ class WorldState:
         self.activity = Activity(engine)
         self.gyroscopic = GyroscopicCorrection(engine)
         self.pieces: dict[int, Body] = {}
+        self.materials = ContactMaterials(engine)
         self.damping: dict[int, tuple[float, float]] = {}
 
     @property

@@ -7,6 +7,7 @@ import pytest
 
 import fracsim
 from fracsim.common.checks import at_least, finite_vector, vector_of
+from fracsim.common.contact import LOAD_DURATION
 from fracsim.common.impulse import as_impulses
 
 
@@ -55,3 +56,23 @@ def test_checks_raise_the_error_that_the_caller_names():
         finite_vector([1, 2], "position")
     assert vector_of([1, np.nan], 2) is not None
     assert vector_of([1, 2], 3) is None
+
+
+@pytest.mark.parametrize("duration", [0.0, -1e-3, np.inf, np.nan, "long"])
+def test_a_duration_is_above_zero(duration):
+    with pytest.raises(fracsim.ImpulseError, match="impulse duration must be finite and above 0 s, or None"):
+        fracsim.Impulse((0, 0, 0), (0, 0, 1), 1.0, duration)
+
+
+def test_a_force_is_an_impulse_of_that_peak_force():
+    grip = fracsim.Impulse.from_force((1, 2, 3), (0, 0, 2), 250.0)
+    assert grip.peak_force == pytest.approx(250.0)
+    assert grip.magnitude == 250.0 * LOAD_DURATION
+    assert grip.point.tolist() == [1, 2, 3]
+    assert fracsim.Impulse((0, 0, 0), (0, 0, 1), 1.0).peak_force is None
+
+
+def test_a_stronger_impulse_lasts_as_long():
+    impulse = fracsim.Impulse((0, 0, 0), (0, 0, 1), 2.0, 1e-3).times(3.0)
+    assert (impulse.magnitude, impulse.duration) == (6.0, 1e-3)
+    assert impulse.peak_force == pytest.approx(np.pi / 2 * 6.0 / 1e-3)

@@ -17,6 +17,7 @@ from fracsim import meshes
 from fracsim.common.files import header_of
 from fracsim.fracture.file import FORMAT, sign
 from fracsim.metrics import ari
+from fracsim.simulators.diffusion import GAUGE
 
 SAMPLES = 50
 
@@ -169,12 +170,9 @@ def test_size_and_material_change_units_only(shipped, scale, seed):
     other = shipped.scaled(scale).with_material("glass")
     assert other.mass == pytest.approx(shipped.volume * scale**3 * other.material.density)
     impulse = shipped.sample_impulses(1, seed)[0]
-    unit = shipped.mass * shipped.material.breaking_velocity
-    moved = fracsim.Impulse(
-        impulse.point * scale,
-        impulse.direction,
-        impulse.magnitude / unit * other.mass * other.material.breaking_velocity,
-    )
+    severity = impulse.magnitude / (shipped.mass * GAUGE * shipped.material.critical_velocity)
+    moved = other.impulse_of(severity, impulse.point * scale, impulse.direction)
+    assert moved.magnitude == pytest.approx(severity * other.mass * GAUGE * other.material.critical_velocity)
     np.testing.assert_array_equal(shipped.fracture(impulse).labels, other.fracture(moved).labels)
 
 

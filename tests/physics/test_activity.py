@@ -13,7 +13,7 @@ from scenes import HARD, SlabBox, ball, floor, tilted
 
 import fracsim
 from fracsim.bench.idle import counted
-from fracsim.physics.impacts import LOAD_DURATION
+from fracsim.common.contact import LOAD_DURATION
 
 
 @pytest.fixture

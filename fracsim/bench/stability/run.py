@@ -129,13 +129,13 @@ def _strengths(stage: Stage) -> list[float]:
 
 def _overload(asset: BreakableAsset, hits: Sequence[Impulse]) -> float:
     """Find how many times what just breaks the asset these hits are, to a fifth."""
-    unit = sum(hit.magnitude for hit in hits) / (asset.mass * asset.material.breaking_velocity)
+    unit = asset.fracture(hits, skip_weak=False).severity
     low, high = SEVERITIES
     if not unit > 0.0:
         return 1.0
 
     def breaks(severity: float) -> bool:
-        impacts = [Impulse(hit.point, hit.direction, hit.magnitude * severity / unit) for hit in hits]
+        impacts = [hit.times(severity / unit) for hit in hits]
         return asset.may_break(impacts) and asset.fracture(impacts).broken
 
     for _ in range(HALVINGS):

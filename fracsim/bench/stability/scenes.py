@@ -376,7 +376,7 @@ def _firm(cell: Cell, body: int, stage: Stage) -> Impulse:
     """Draw an impact on command, the same in the twin, that breaks the object at its own strength."""
     asset = asset_of(cell)
     [impact] = asset.sample_impulses(1, cell.seed)
-    return Impulse(impact.point, impact.direction, 10.0 * asset.mass * asset.material.breaking_velocity)
+    return asset.impulse_of(10.0, impact.point, impact.direction)
 
 
 FAMILIES: dict[str, tuple[Callable[[Stage, Cell, np.random.Generator], None], int]] = {  # scene, number of variants
