@@ -20,6 +20,7 @@ from .surface import Surface
 
 TRIES = 8  # lattices tried before a surface is called impossible; one has been enough for every surface so far
 SIZE_RATIO = 1.3  # between tetrahedra that are searched for together
+CLEAR = 1e-9  # of the largest extent: what is farther before a plane is so whatever the rounding
 SLIVER = 0.1  # of a whole tetrahedron; smaller cells are joined to the neighbour they share most area with
 
 
@@ -127,7 +128,17 @@ def _candidates(vertices: FloatArray, faces: IntArray, points: FloatArray, tetra
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     height = np.einsum("nij,nj->ni", tets[tet] - triangles[face, None, 0], normal[face])
     cut = (height.max(axis=1) >= 0) & (height.min(axis=1) <= 0)
-    return np.stack([face[cut], tet[cut]], axis=1)
+    face, tet = face[cut], tet[cut]
+    # Nor can a face that is wholly before one of the tetrahedron's facets.
+    facet = tets[:, FACETS]
+    outward = np.cross(facet[:, :, 1] - facet[:, :, 0], facet[:, :, 2] - facet[:, :, 0])
+    outward /= np.maximum(np.linalg.norm(outward, axis=2), 1e-300)[:, :, None]
+    offset = np.einsum("tki,tki->tk", outward, facet[:, :, 0])
+    for k in range(4):
+        before = np.einsum("nji,ni->nj", triangles[face], outward[tet, k]).min(axis=1) - offset[tet, k]
+        near_enough = before <= CLEAR
+        face, tet = face[near_enough], tet[near_enough]
+    return np.stack([face, tet], axis=1)
 
 
 def _pairs(left: IntArray, right: IntArray, width: int) -> tuple[IntArray, IntArray]:

@@ -93,6 +93,9 @@ def triangulate_polygon(
     ndarray of int64, shape (T, 3)
         Triangles of the points.
     """
+    if len(start) == 3 and (needed is None or needed[start].all()):
+        (a, b, c), last = start.tolist(), int(end[0])
+        return np.array([[last, b if last == c else c, a]])
     across, second = triangle[1] - triangle[0], triangle[2] - triangle[0]
     up = _cross(_cross(across, second), across)
     frame = np.stack([across / np.linalg.norm(across), up / np.linalg.norm(up)], axis=1)
