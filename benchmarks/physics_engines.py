@@ -1,0 +1,111 @@
+"""The two lattice simulators as testing machines for the specimens of ``physics_bodies``."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from physics_bodies import Specimen
+
+from fracsim.common.arrays import FloatArray, IntArray
+from fracsim.simulators.base import interfaces_between
+from fracsim.simulators.lattice import Stiffness
+from fracsim.simulators.merging import merge_bound
+from fracsim.simulators.softening import LEAST_LEFT, Softening
+from fracsim.simulators.structural import HELD, StructuralOptions, group_cells
+from fracsim.solids.solid import relabel, sum_by_index
+
+SMALLEST = 0.01  # of the body: what counts as a piece
+PRECISION = 0.01  # of a critical factor
+GROWTH = 1.3  # of the factor while the body holds
+LARGEST = 200.0  # times the factor that opens a first crack; what still holds then does not break
+
+
+class Engine(Protocol):
+    """Breaks one specimen."""
+
+    def __init__(self, specimen: Specimen, seed: int) -> None: ...
+
+    def first_face(self) -> int:
+        """Find the face that breaks first."""
+        ...
+
+    def critical(self) -> float:
+        """Find the least load factor at which the body is in two pieces; infinite where it does not break."""
+        ...
+
+    def labels(self, factor: float) -> IntArray:
+        """Find the piece of each of the N cells of the lattice under a load factor."""
+        ...
+
+
+def count_pieces(specimen: Specimen, labels: IntArray, least: float = SMALLEST) -> int:
+    """Count the pieces of at least a share of the body."""
+    return int((shares(specimen, labels) >= least).sum())
+
+
+def shares(specimen: Specimen, labels: IntArray) -> FloatArray:
+    """Measure the pieces as shares of the body, the largest first."""
+    volumes = np.bincount(labels, specimen.solid.volumes)
+    return np.sort(volumes / volumes.sum())[::-1]
+
+
+class StructuralEngine:
+    """All faces soften at once, under a load that is held or that of a hit; pieces are read off what is left."""
+
+    def __init__(self, specimen: Specimen, seed: int) -> None:
+        solid, faces = specimen.solid, specimen.lattice.faces
+        atoms, options = StructuralOptions().atoms, specimen.options
+        floor = max(SMALLEST, 1.0 / (3.0 * atoms)) * float(solid.volumes.sum())
+        self.specimen = specimen
+        self.atom = group_cells(solid, faces.pairs, faces.areas, atoms, floor, np.random.default_rng(seed))
+        self.cells = relabel(solid, self.atom)
+        self.interfaces = interfaces_between(self.cells)
+        self.softening = Softening(specimen.lattice, options.brittleness, options.strain, options.hertz)
+        self.start = None
+        if specimen.cracked.any():
+            left = np.where(specimen.cracked, LEAST_LEFT, 1.0)
+            self.start = Stiffness(left, np.zeros(len(left), dtype=bool))
+
+    @cached_property
+    def tension(self) -> FloatArray:
+        """(I,) on every face under a load of factor 1."""
+        specimen = self.specimen
+        lattice, stiffness = specimen.lattice, self.start or specimen.lattice.whole
+        tension, _, _ = lattice.tension(lattice.jumps(lattice.factorise(stiffness).solve(specimen.forces)), stiffness)
+        return np.where(specimen.cracked, 0.0, tension)
+
+    def first_face(self) -> int:
+        """Find the face that is pulled hardest."""
+        return int(np.argmax(self.tension))
+
+    def critical(self) -> float:
+        """Bisect for the least factor that leaves two pieces."""
+        low = high = 0.5 / float(self.tension.max())
+        while not (broken := self.labels(high).any()) and high < LARGEST * low:
+            high *= GROWTH
+        if not broken:
+            return np.inf
+        low = high / GROWTH
+        while high / low > 1.0 + PRECISION:
+            middle = float(np.sqrt(low * high))
+            low, high = (low, middle) if self.labels(middle).any() else (middle, high)
+        return high
+
+    def labels(self, factor: float) -> IntArray:
+        """Join atoms over what is left between them."""
+        specimen, faces = self.specimen, self.specimen.lattice.faces
+        load = np.array([factor])
+        left = self.softening.run(factor * specimen.forces, load, self.start, not specimen.direction.any())
+        pairs, count = self.interfaces.pairs, len(self.cells.volumes)
+        ends = np.sort(self.atom[faces.pairs], axis=1)
+        between = ends[:, 0] != ends[:, 1]
+        interface = np.searchsorted(pairs[:, 0] * count + pairs[:, 1], ends[between] @ [count, 1])
+        areas = sum_by_index(interface, faces.areas[between], len(pairs))
+        bonds = sum_by_index(interface, faces.areas[between] * left[between], len(pairs)) / areas
+        floor = SMALLEST * float(self.cells.volumes.sum())
+        return merge_bound(self.cells.volumes, pairs, areas, bonds, HELD, floor)[self.atom]
+
+
+ENGINES: dict[str, type[Engine]] = {"structural": StructuralEngine}
