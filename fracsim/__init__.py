@@ -2,9 +2,9 @@
 
 Importing it registers the Gymnasium environments and loads NumPy and Gymnasium, nothing heavier; every other name is
 loaded when it is first used. Online, `load` gives a `BreakableAsset`, which answers impulses with fractures, and
-`World` lets PyBullet bodies break by it. Offline, `bake` makes an asset of a mesh, and `make_dataset` writes fractures
-to learn from. `register_simulator`, `register_model`, `register_segmentation` and
-`register_environment` add one of your own.
+`World` lets PyBullet bodies break by it. Offline, `Simulator` is what assets learn from, `make_dataset` writes its
+fractures to a file, and `bake` makes an asset of a mesh. `register_simulator`, `register_model`,
+`register_segmentation` and `register_environment` add one of your own.
 
 Examples
 --------
@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from .physics.world import World
     from .segmentation import register_segmentation, segment
     from .simulators import register_simulator
+    from .simulators.api import Simulator
+    from .simulators.simulated_fracture import SimulatedFracture
 
 __version__ = "0.2.0"
 
@@ -69,6 +71,8 @@ _LAZY = {
     "register_segmentation": "segmentation",
     "register_simulator": "simulators",
     "segment": "segmentation",
+    "SimulatedFracture": "simulators.simulated_fracture",
+    "Simulator": "simulators.api",
     "World": "physics.world",
 }
 
@@ -92,6 +96,8 @@ __all__ = [
     "PhysicsError",
     "Piece",
     "RenderError",
+    "SimulatedFracture",
+    "Simulator",
     "World",
     "bake",
     "load",

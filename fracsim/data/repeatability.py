@@ -18,6 +18,7 @@ from ..geometry.sampling import CONE, SEVERITY, SurfacePoints, cone
 from ..metrics import ari, volume_ari
 from ..simulators import simulator_class
 from ..simulators.base import FractureSimulator, Impacts, Progress, no_progress
+from ..simulators.capabilities import reference_factors
 from ..simulators.registry import SimulatorOptions, make_simulator
 from ..solids.interior import sample_interior
 from ..solids.surface import Surface
@@ -100,9 +101,9 @@ def repeatability(
 ) -> dict[str, float]:
     """Measure how well a simulator repeats itself.
 
-    Single impacts are drawn as samples are, but only ones that break the body: 1 to 5 times as severe as it takes. Each
-    is asked again, as severe, after its point has moved by 1 % and by 3 % of the size in a random direction along the
-    surface and its direction has turned by as much, in radians.
+    Single impacts are drawn as samples are, but 1 to 5 times as severe as it takes, and those that break the body
+    count. Each is asked again, as severe, after its point has moved by 1 % and by 3 % of the size in a random direction
+    along the surface and its direction has turned by as much, in radians.
 
     Parameters
     ----------
@@ -230,10 +231,10 @@ def _measured(pair: _Pair, seed: int, group: int) -> _Group:
     impacts = Impacts(face[:, None], barycentric[:, None], direction[:, None], np.ones((GROUP, 1)))
     ratio = np.exp(rng.uniform(0.0, np.log(SEVERITY[1]), GROUP))
     with threadpool_limits(1):  # sums in one order, whatever the machine
-        thresholds = simulator.thresholds(impacts)
-        impacts = impacts.times(ratio * thresholds)
+        reference = reference_factors(simulator, impacts)
+        impacts = impacts.times(ratio * reference)
         together = _joined([impacts, *(moved(surface, impacts, shift, rng) for shift in SHIFTS)])
-        asked = checked(simulator, together, np.tile(thresholds, 1 + len(SHIFTS)), simulator.fracture(together))
+        asked = checked(simulator, together, np.tile(reference, 1 + len(SHIFTS)), simulator.fracture(together))
         labels = asked.labels.reshape(1 + len(SHIFTS), GROUP, -1)
         others = None if pair.other is None else pair.other.fracture(impacts).labels
     count = len(surface.vertices)

@@ -17,6 +17,7 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..common.errors import DatasetError, MissingExtraError
 from ..geometry.sampling import CONE, SEVERITY, ratios
 from ..simulators.base import FractureSimulator, Impacts, Response
+from ..simulators.capabilities import reference_factors
 from .impacts import CONTACTS, KINDS, POOL, RING, SEVERAL, TILT, draw_impacts
 from .workers import run_blocks
 
@@ -47,7 +48,8 @@ class Samples:
     severities : ndarray of float64, shape (N, K)
         How hard each contact is, without unit, see ``simulators.base.Impacts``; 0 where there is no contact.
     ratio : ndarray of float64, shape (N,)
-        Severity as a multiple of the one at which this very impact would first break the body.
+        Severity as a multiple of the one at which this very impact would first break the body; or open a first crack,
+        where the simulator finds that sooner (``simulators.capabilities.FirstCrack``).
     kind : ndarray of int64, shape (N,)
         Index into ``impacts.KINDS``.
     labels : ndarray of int64, shape (N, C)
@@ -205,9 +207,9 @@ def sample_block(simulator: FractureSimulator, seed: int, block: int) -> Samples
     with threadpool_limits(1):  # sums in one order, whatever the machine
         shares, kind = draw_impacts(simulator.surface, BLOCK, rng)
         ratio = ratios(BLOCK, rng)
-        thresholds = simulator.thresholds(shares)
-        impacts = shares.times(ratio * thresholds)
-        response = checked(simulator, impacts, thresholds, simulator.fracture(impacts))
+        reference = reference_factors(simulator, shares)
+        impacts = shares.times(ratio * reference)
+        response = checked(simulator, impacts, reference, simulator.fracture(impacts))
     broken = response.broken
     split, fold = np.zeros(BLOCK, dtype=np.int64), np.full(BLOCK, -1)
     order = rng.permutation(BLOCK)
@@ -239,7 +241,7 @@ def checked(simulator: FractureSimulator, impacts: Impacts, thresholds: FloatArr
     impacts : Impacts
         What it was asked.
     thresholds : ndarray of float64, shape (N,)
-        What it said of when each impact breaks the body.
+        What it said of when each impact begins to break the body.
     response : Response
         What it said of the pieces.
 

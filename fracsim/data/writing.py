@@ -20,7 +20,7 @@ from ..common.errors import DatasetError, MissingExtraError
 from ..common.progress import Stages
 from ..simulators import SIMULATORS, UNREGISTERED, simulator_class
 from ..simulators.base import FractureSimulator, RegisteredSimulator, interfaces_between
-from ..simulators.capabilities import severity_kind_of
+from ..simulators.capabilities import FirstCrack, reference_factors, severity_kind_of
 from ..simulators.registry import SimulatorOptions, make_simulator, options_for
 from ..solids.geodesics import CAP, CurveDistances, interface_distances
 from ..solids.solid import solid_to_arrays
@@ -231,7 +231,7 @@ def _create(
         raise DatasetError(f"{path}: the simulator is of another surface")
     # A first answer: is it one, and does this simulator say which interfaces break?
     impacts, _ = draw_impacts(surface, 4, np.random.default_rng(0))
-    broken = checked(simulator, impacts, simulator.thresholds(impacts), simulator.fracture(impacts)).broken
+    broken = checked(simulator, impacts, reference_factors(simulator, impacts), simulator.fracture(impacts)).broken
     kind = severity_kind_of(simulator)
     header = {
         "fracsim": __version__,
@@ -240,6 +240,7 @@ def _create(
         "sampling": sampling_rules(),
         "cap": CAP,
         "severity_kind": kind,
+        "ratio_to": "first crack" if isinstance(simulator, FirstCrack) else "threshold",
         "units": UNITS[kind],
         "repeatability": of_itself,
     }

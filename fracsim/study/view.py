@@ -74,6 +74,7 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
         cap = float(dataset.header["cap"])
         name = Path(dataset.surface.name).stem
         kinds = dataset.header["sampling"]["kinds"]
+        reference = dataset.header.get("ratio_to", "threshold")
     points = SurfacePoints(vertices, faces)
     figure = Figure(figsize=(4.2 * COLUMNS, 2.5 * ROWS), layout="constrained")
     axes = figure.subplots(ROWS, 2 * COLUMNS, squeeze=False).ravel()
@@ -92,7 +93,7 @@ def picture_sheet(path: str | Path, out: str | Path, seed: int = 0) -> None:
         for axis in (left, right):
             _draw_arrows(axis, contacts, shown.directions[k, used], frame)
         count = shown.labels[k].max() + 1
-        left.set_title(f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × threshold, {count} pieces", fontsize=8)
+        left.set_title(f"{kinds[shown.kind[k]]}, {shown.ratio[k]:.1f} × {reference}, {count} pieces", fontsize=8)
         right.set_title("distance to the nearest crack", fontsize=8)
     figure.suptitle(name, fontsize=9)
     write_beside(Path(out), as_png(figure, 100))
