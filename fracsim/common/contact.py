@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from .arrays import FloatArray
 
-CONTACT_RADIUS = 0.05  # radius of the contact, in units of the largest extent of what is struck
+CONTACT_RADIUS = 0.05  # of the struck surface where it touches, in units of the largest extent of the body
+GROSS_RADIUS = 0.5  # of the body as a whole, in the same units: what a layer feels that it sinks into
 LOAD_DURATION = 1e-3  # s, by which a lasting force is multiplied where an impulse is asked for: a hard impact's length
 HALF_SINE = 0.5 * np.pi  # peak over mean of a half-sine pulse
 NEWTON_STEPS = 8  # from where the search begins, five are enough for the last bit
@@ -47,7 +48,7 @@ def pair_modulus(
     return np.inf if compliance == 0.0 else 1.0 / compliance
 
 
-def hertz_stiffness(modulus: float, size: float) -> float:
+def hertz_stiffness(modulus: float, size: float, radius: float = CONTACT_RADIUS) -> float:
     """Compute the stiffness k of a Hertz contact, F = k δ^(3/2).
 
     Parameters
@@ -55,7 +56,9 @@ def hertz_stiffness(modulus: float, size: float) -> float:
     modulus : float
         E* of the pair, Pa.
     size : float
-        m, the largest extent of the struck body, of which the radius of the contact is `CONTACT_RADIUS`.
+        m, the largest extent of the struck body.
+    radius : float
+        R, in units of that.
 
     Returns
     -------
@@ -66,7 +69,7 @@ def hertz_stiffness(modulus: float, size: float) -> float:
     -----
     k = 4/3 E* √R; Johnson, *Contact Mechanics*, Eq. 4.23.
     """
-    return float(4.0 / 3.0 * modulus * np.sqrt(CONTACT_RADIUS * size))
+    return float(4.0 / 3.0 * modulus * np.sqrt(radius * size))
 
 
 def _hertz_factor(stiffness: float) -> float:
@@ -95,8 +98,10 @@ class ContactLaw:
 
         W = 2/5 F^(5/3) k^(-2/3) + C F²/2.
 
-    A layer behaves as a half-space of its material until the part of the indentation that it takes reaches its travel.
-    Then it is pressed together, and what is behind it, rigid, takes what is left of the energy: the first term becomes
+    A layer gives way by more than the surface that presses into it is round where it touches, so that the body as a
+    whole is the ball that presses: R is `GROSS_RADIUS`. The layer behaves as a half-space of its material, which leaves
+    out how much stiffer a thin one is, until the part of the indentation that it takes reaches its travel. Then it is
+    pressed together, and what is behind it, rigid, takes what is left of the energy: the first term becomes
     2/5 (F_b^(5/3) k^(-2/3) + (F^(5/3) - F_b^(5/3)) k_b^(-2/3)), k_b that of the struck body on a rigid one. This is the
     cushion with abrupt bottoming of R. D. Mindlin, "Dynamics of package cushioning", Bell Syst. Tech. J. 24 (1945),
     with the indentation by a ball for the spring before it does.
@@ -139,9 +144,9 @@ class ContactLaw:
             The law.
         """
         modulus = pair_modulus(youngs_modulus, poisson_ratio, other_modulus, other_ratio)
-        stiffness = hertz_stiffness(modulus, size)
         if travel is None or not np.isfinite(other_modulus):
-            return cls(stiffness, compliance)
+            return cls(hertz_stiffness(modulus, size), compliance)
+        stiffness = hertz_stiffness(modulus, size, GROSS_RADIUS)
         share = modulus * (1.0 - other_ratio**2) / other_modulus  # of the indentation, that the layer takes
         bottom_stiffness = hertz_stiffness(pair_modulus(youngs_modulus, poisson_ratio), size)
         return cls(stiffness, compliance, stiffness * (travel / share) ** 1.5, bottom_stiffness)

@@ -391,7 +391,7 @@ class Activity:
         Returns
         -------
         list of BodyRecord
-            Each once every few steps, with ``load_due`` set.
+            Each once every few steps.
         """
         self.any_pressed = any(record.pressed_steps for record in self._observed)
         return due_loads(self._observed)

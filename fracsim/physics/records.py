@@ -136,8 +136,6 @@ class BodyRecord:
         Whether one pushed on it.
     pressed_steps : int
         Steps for which more than a bearable force has pressed on it.
-    load_due : bool
-        Whether that force has lasted long enough to be judged now.
     lightest_contacts : BodyContacts, optional
         Its contacts in that of these steps in which the force was least.
     recent_impacts : list of (float, ContactImpulse)
@@ -173,7 +171,6 @@ class BodyRecord:
     mover_near: bool = False
     mover_touches: bool = False
     pressed_steps: int = 0
-    load_due: bool = False
     lightest_contacts: BodyContacts | None = None
     recent_impacts: list[tuple[float, ContactImpulse]] = field(default_factory=list)
     damage: float = 0.0

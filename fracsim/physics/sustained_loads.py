@@ -71,12 +71,7 @@ def due_loads(observed: Iterable[BodyRecord]) -> list[BodyRecord]:
     Returns
     -------
     list of BodyRecord
-        Each once every few steps, with ``load_due`` set.
+        Each once every few steps.
     """
-    result = []
-    for record in observed:
-        pressed = record.pressed_steps
-        record.load_due = pressed > 0 and pressed % SETTINGS.steps_between_inspections == SETTINGS.load_steps
-        if record.load_due:
-            result.append(record)
-    return result
+    due, period = SETTINGS.load_steps, SETTINGS.steps_between_inspections
+    return [record for record in observed if record.pressed_steps and record.pressed_steps % period == due]

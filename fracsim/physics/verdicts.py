@@ -116,13 +116,15 @@ class Verdicts:
 
     # What struck whom
 
-    def predict(self, suspects: list[BodyRecord]) -> list[StruckBody]:
+    def predict(self, suspects: list[BodyRecord], pressed: list[BodyRecord]) -> list[StruckBody]:
         """Predict the impacts on bodies, and on the breakable bodies that these struck.
 
         Parameters
         ----------
         suspects : list of BodyRecord
             Bodies that something may have struck in the last step.
+        pressed : list of BodyRecord
+            Bodies on which a load is to be judged, where nothing struck them.
 
         Returns
         -------
@@ -131,10 +133,8 @@ class Verdicts:
         """
         state, time = self._state, self._state.clock.time
         struck: list[StruckBody] = []
-        loaded = {record.body.id for record in suspects if record.load_due}
-        queue, judged = list(suspects), set()
-        for record in suspects:
-            record.load_due = False
+        suspected, loaded = set(suspects), set(pressed)
+        queue, judged = [*suspects, *pressed], set()
         for record in queue:  # grows while it runs
             body = record.body.id
             if body in judged:
@@ -146,7 +146,9 @@ class Verdicts:
             if self._is_spared(record):
                 continue
             start = perf_counter()
-            impacts = self._impacts_on(record, body in loaded)
+            impacts = [] if record in loaded - suspected else self._impacts_on(record)
+            if not impacts and record in loaded:
+                impacts = self._loads_on(record)
             queue += [state.records[impact.other] for impact in impacts if impact.other in state.records]
             if time < record.immune_until:
                 impacts = [impact for impact in impacts if impact.other not in record.immune_to]
@@ -168,14 +170,19 @@ class Verdicts:
                 return False
         return True
 
-    def _impacts_on(self, record: BodyRecord, is_loaded: bool) -> list[ContactImpulse]:
+    def _loads_on(self, record: BodyRecord) -> list[ContactImpulse]:
         state, body, clock = self._state, record.body, self._state.clock
-        contacts = record.lightest_contacts if is_loaded else state.activity.contacts_of(body.id)
+        if record.lightest_contacts is None:
+            return []
+        placement = state.engine.placement_before(body.id, clock.time_step)
+        return sustained_impulses(state.engine, body, record.lightest_contacts, placement, clock.gravity)
+
+    def _impacts_on(self, record: BodyRecord) -> list[ContactImpulse]:
+        state, body, clock = self._state, record.body, self._state.clock
+        contacts = state.activity.contacts_of(body.id)
         if contacts is None:
             return []
         placement = state.engine.placement_before(body.id, clock.time_step)
-        if is_loaded:
-            return sustained_impulses(state.engine, body, contacts, placement, clock.gravity)
         motion_before, durations_of = self._last_step.motion_before, self._durations.of(record.breakable)
         return predict_impacts(
             state.engine, body, contacts, placement, motion_before, durations_of, clock.time_step, clock.gravity

@@ -162,8 +162,8 @@ class World:
 
         Impacts on a body within 10 ms act together, as those on the corners of a flat landing. When it breaks, all
         that contacts and constraints join to it goes back to before the step, and its pieces take its place: the next
-        step brings the impact again, and they live it. A force that lasts counts too (where the asset's simulator counts
-        impulses, as that of 1 ms of it), without what the body's own weight takes.
+        step brings the impact again, and they live it. A force that lasts counts too, without what the body's own
+        weight takes; where the asset's simulator counts impulses, as that of 1 ms of it.
 
         Returns
         -------
@@ -177,8 +177,8 @@ class World:
         """
         self._advance()
         moved = self._energy.running() if self._pieces else None  # what breaks now has not moved yet
-        suspects = self._observe()
-        struck = self._predict_impacts(suspects) if suspects else []
+        suspects, pressed = self._observe()
+        struck = self._predict_impacts(suspects, pressed) if suspects or pressed else []
         breaks = self._verdicts.decide(struck) if struck else []
         events = self._replacement.replace(breaks) if breaks else []
         if self._pieces:
@@ -202,25 +202,23 @@ class World:
         if self._clock.read():
             self._activity.wake_all()
 
-    def _observe(self) -> list[BodyRecord]:
-        """Find the breakable bodies that something may have struck, or presses on."""
+    def _observe(self) -> tuple[list[BodyRecord], list[BodyRecord]]:
+        """Find the breakable bodies that something may have struck, and those on which a load is to be judged."""
         activity, clock = self._activity, self._clock
         if not activity.records:
-            return []
+            return [], []
         try:
             suspects = activity.observe_step(clock.time_step, clock.gravity, clock.impact_speed_threshold)
         except BodyNotFound:
             self._state.forget_removed()
-            return []
-        if not suspects and activity.any_pressed:
-            suspects = activity.due_loads()
-        return suspects
+            return [], []
+        return suspects, activity.due_loads() if activity.any_pressed else []
 
-    def _predict_impacts(self, suspects: list[BodyRecord]) -> list[StruckBody]:
+    def _predict_impacts(self, suspects: list[BodyRecord], pressed: list[BodyRecord]) -> list[StruckBody]:
         """Predict the impacts on the suspects and show them to the callbacks, but for those shown already."""
         self._read_clock()
         self._last_step.clear()
-        struck = self._verdicts.predict(suspects)
+        struck = self._verdicts.predict(suspects, pressed)
         if not self._callbacks:
             return struck
         relived = self._replacement.relived

@@ -18,8 +18,8 @@ from ..solids.spectrum import laplacian, neighbours
 DIFFUSION_TIME = 0.1  # h of Breaking Good, Eq. 22, lengths in units of the largest extent
 PATCH_RADIUS = 0.1  # standard deviation of the contact patch, in units of the largest extent
 # The diffused field is no elastic wave front, so its jumps need one dimensionless gauge before they can be held against
-# the critical velocity: an interface breaks when its effective jump of velocity reaches GAUGE * critical_velocity. It is
-# set by everyday experience, that a 0.1 m ceramic mug survives a fall from 0.2 m and breaks from 1 m;
+# the critical velocity: an interface breaks when its effective jump of velocity reaches GAUGE * critical_velocity. It
+# is set by everyday experience, that a 0.1 m ceramic mug survives a fall from 0.2 m and breaks from 1 m;
 # benchmarks/calibration.py measures it.
 GAUGE = 0.24
 BLOCK = 512  # points worked on at a time, for memory
