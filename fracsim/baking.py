@@ -17,6 +17,7 @@ from . import __version__
 from .common.errors import BakeError, MissingExtraError
 from .common.material import Material, as_material
 from .common.progress import Stages
+from .data.repeatability import repeatability_of
 from .data.samples import Samples, sample
 from .fracture.arrays import AssetArrays, SimulatorRecord
 from .fracture.asset import BreakableAsset
@@ -27,9 +28,10 @@ from .learning.field import FieldModel, FieldOptions
 from .learning.trainer import Run
 from .metrics import ari
 from .simulators import SIMULATORS, simulator_class
-from .simulators.base import Described, FractureSimulator, ImpactField
-from .simulators.diffusion import impact_field
-from .simulators.registry import SimulatorOptions, make_simulator, options_for
+from .simulators.base import ContactCompliance, Described, FractureSimulator, ImpactField
+from .simulators.capabilities import default_samples, severity_kind_of
+from .simulators.diffusion import GAUGE, impact_field
+from .simulators.registry import SimulatorOptions, make_simulator, options_for, options_for_body
 from .solids.convex import convex_arrays
 from .solids.geodesics import CAP
 from .solids.surface import Surface, read_surface, refine
@@ -51,17 +53,20 @@ LEAST = {"samples": 500, "evaluated": 50, "workers": 1}  # below them there is n
 class BakeOptions:
     """How fine, from how much, and with which simulator and model to bake.
 
+    What is None is chosen by the simulator, whose options have defaults of their own.
+
     Attributes
     ----------
     simulator : str
-        A registered simulator: "modal", "elastic", "radial", or one of your own.
-    cells : int
+        A registered simulator: "modal", "structural", "sequential", "elastic", "radial", or one of your own.
+    cells : int, optional
         About how many cells the body is cut into.
-    modes : int
+    modes : int, optional
         Fracture modes, for a simulator that has them.
-    samples : int
-        Impacts to learn from and be tested on, at least 500.
-    min_piece_volume_fraction : float
+    samples : int, optional
+        Impacts to learn from and be tested on, at least 500; by default 250,000, or fewer where the simulator is slow
+        and says so.
+    min_piece_volume_fraction : float, optional
         Pieces of less than this fraction of the body's volume join a neighbour.
     evaluated : int
         Test impacts that the figures are taken over, at most; at least 50.
@@ -79,10 +84,10 @@ class BakeOptions:
     """
 
     simulator: str = "modal"
-    cells: int = 5000
-    modes: int = 20
-    samples: int = 250000
-    min_piece_volume_fraction: float = 1e-3
+    cells: int | None = None
+    modes: int | None = None
+    samples: int | None = None
+    min_piece_volume_fraction: float | None = None
     evaluated: int = 1500
     workers: int = 2
     simulator_settings: Mapping[str, Any] = field(default_factory=dict)
@@ -91,16 +96,37 @@ class BakeOptions:
     def __post_init__(self) -> None:
         values = vars(self)
         for name, limit in LEAST.items():
-            if values[name] < limit:
+            if values[name] is not None and values[name] < limit:
                 raise BakeError(f"{name} must be at least {limit}, got {values[name]}")
         _ = self.simulator_options  # checks the rest
 
     @property
+    def simulator_values(self) -> dict[str, Any]:
+        """The options of the simulator that are set, by name."""
+        values = {name: getattr(self, name) for name in ("cells", "modes", "min_piece_volume_fraction")}
+        return {name: value for name, value in values.items() if value is not None} | dict(self.simulator_settings)
+
+    @property
     def simulator_options(self) -> SimulatorOptions:
-        """What the simulator is built with."""
-        names = ("cells", "modes", "min_piece_volume_fraction")
-        values = {name: getattr(self, name) for name in names} | dict(self.simulator_settings)
-        return options_for(self.simulator, **values)
+        """What the simulator is built with, but for what follows from the material and size of the body."""
+        return options_for(self.simulator, **self.simulator_values)
+
+    def simulator_options_for(self, material: Material, size: float) -> SimulatorOptions:
+        """Make the options that the simulator of a body is built with.
+
+        Parameters
+        ----------
+        material : Material
+            What it is made of.
+        size : float
+            m, its largest extent.
+
+        Returns
+        -------
+        SimulatorOptions
+            Of the simulator's own type.
+        """
+        return options_for_body(self.simulator, material, size, **self.simulator_values)
 
 
 def model_for(simulator: str) -> FieldOptions:
@@ -168,16 +194,20 @@ def bake(
     with threadpool_limits(1), Stages(progress) as stage:  # sums in one order, whatever the machine
         stage("validate")
         surface = refine(read_surface(source))
+        built_from: SimulatorOptions | None = None
         if simulator is None:
-            name = options.simulator
-            made: FractureSimulator = make_simulator(surface, options.simulator_options, seed, stage)
+            name, built_from = options.simulator, options.simulator_options_for(chosen_material, surface.scale)
+            made: FractureSimulator = make_simulator(surface, built_from, seed, stage)
         else:
             stage("simulator")
             made = simulator(surface)
             name = type(made).__name__
+        options = _resolved(options, made, built_from)
+        repeated = repeatability_of(made, built_from, seed, options.workers, progress=stage)
         stage("atoms")
-        observed = observe_fractures(made, seed)
-        atoms = atoms_for(made, observed, options.min_piece_volume_fraction)
+        observed = observe_fractures(made, seed, options.workers)
+        floor = (built_from or options.simulator_options).min_piece_volume_fraction
+        atoms = atoms_for(made, observed, floor)
         stage("impact")
         if isinstance(made, ImpactField):
             impacts = made.impact_field
@@ -185,6 +215,7 @@ def bake(
             impacts = impact_field(atoms.fine_cells, atoms.fine_to_atom, surface.vertices)
         body = BodyGeometry.of(surface, atoms, stage.ticker("distances"))
         draw = stage.ticker("samples")
+        assert options.samples is not None  # resolved above
         samples = sample(made, options.samples, seed, draw, options.workers, transform=atoms.project, begun=observed)
         run = Run(progress=stage.ticker("training"))
         model, training = FieldModel.fit(body, samples, options.model or model_for(name), seed, run)
@@ -201,13 +232,10 @@ def bake(
             projected=interfaces.projected,
             distances=body.distances[:, : len(surface.vertices)].astype(np.float16),
             interface_vertices=body.interface_vertices,
+            compliance=made.compliance if isinstance(made, ContactCompliance) else None,
             **convex_arrays(atoms.solid, whole, interfaces.pairs, interfaces.normals, stage.ticker),
         )
-        record, floor, size = (
-            _record(name, samples),
-            options.min_piece_volume_fraction,
-            (surface.scale, surface.offset),
-        )
+        record, size = _record(name, made, samples), (surface.scale, surface.offset)
         title = Path(surface.name).stem
         asset = BreakableAsset(title, chosen_material, *size, CAP, floor, arrays, model.net, {}, record)
         test = evaluate_asset(asset, body, samples, options.evaluated, stage.ticker("evaluation"))
@@ -218,6 +246,8 @@ def bake(
         "seed": seed,
         "options": asdict(options),
         "simulator": name,
+        "simulator_options": None if built_from is None else asdict(built_from),
+        "repeatability": repeated,
         "seconds": {**stage.seconds, "total": sum(stage.seconds.values())},
         "counts": {
             "vertices": len(surface.vertices),
@@ -257,7 +287,16 @@ def remake_convex(asset: BreakableAsset) -> BreakableAsset:
     return replace(asset, arrays=arrays, metadata=metadata)
 
 
-def _record(name: str, samples: Samples) -> SimulatorRecord:
+def _resolved(options: BakeOptions, made: FractureSimulator, built_from: SimulatorOptions | None) -> BakeOptions:
+    """Put what was chosen in the place of what was left open."""
+    chosen: dict[str, Any] = {"samples": options.samples or default_samples(type(made))}
+    if built_from is not None:
+        for name in ("cells", "modes", "min_piece_volume_fraction"):
+            chosen[name] = getattr(built_from, name)
+    return replace(options, **chosen)
+
+
+def _record(name: str, simulator: FractureSimulator, samples: Samples) -> SimulatorRecord:
     """Keep what the asset has to know of its simulator: how severe an impact must be to break anything."""
     train = samples.of_split(TRAIN)
     total = train.severities.sum(axis=1)
@@ -266,7 +305,8 @@ def _record(name: str, samples: Samples) -> SimulatorRecord:
         raise BakeError("no training impact breaks the body, so there is nothing to learn; its simulator is too strong")
     single = train.kind == SINGLE_CONTACT
     typical = float(np.median((total / train.ratio)[single]))
-    return SimulatorRecord(name, 0.5 * float(total[broke].min()), typical, _driven_by_impact_field(name))
+    least, driven = 0.5 * float(total[broke].min()), _driven_by_impact_field(name)
+    return SimulatorRecord(name, least, typical, driven, severity_kind_of(simulator), GAUGE)
 
 
 def _atoms_ari(simulator: FractureSimulator, atoms: Atoms, block: Samples) -> float:

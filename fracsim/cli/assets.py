@@ -13,7 +13,17 @@ from typing import TYPE_CHECKING, Any
 
 from ..common.errors import FracsimError
 from ..common.material import PRESETS
-from .arguments import Commands, add_common, add_seed, add_simulator, listed, settings_of
+from .arguments import (
+    MATERIAL,
+    Commands,
+    add_common,
+    add_material,
+    add_seed,
+    add_simulator,
+    add_sizes,
+    listed,
+    settings_of,
+)
 from .output import print_figures, require_file, require_folder
 
 if TYPE_CHECKING:
@@ -42,15 +52,14 @@ def add_bake(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fracsim bake``."""
     parser.add_argument("mesh", type=Path, help="any format that trimesh reads, in metres; one watertight component")
     parser.add_argument("--out", type=Path, metavar="FILE", help="the asset (default: the mesh's name with .frac)")
-    parser.add_argument(
-        "--material", default="ceramic", metavar="NAME", help=f"the material: {listed(PRESETS, 'ceramic')}"
-    )
+    add_material(parser, MATERIAL)
     add_seed(parser, "seed of all random choices")
     add_simulator(parser, "modal")
-    parser.add_argument("--cells", type=int, default=5000, help="cells of the solid (default: 5000)")
-    parser.add_argument("--modes", type=int, default=20, help="fracture modes (default: 20)")
+    add_sizes(parser)
     parser.add_argument(
-        "--samples", type=int, default=250000, help="impacts to learn from and test on (default: 250000)"
+        "--samples",
+        type=int,
+        help="impacts to learn from and test on (default: the simulator's, modal 250000, structural 5000)",
     )
     parser.add_argument("--steps", type=int, default=8000, help="training steps (default: 8000)")
     parser.add_argument("--workers", type=int, default=2, help="processes that make samples (default: 2)")

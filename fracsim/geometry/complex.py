@@ -159,9 +159,7 @@ class CellComplex:
         return separate_pinched_edges(self.points[used], inverse.reshape(-1, 3), skin)
 
 
-def _triangles_below(
-    points: FloatArray, triangles: FloatArray
-) -> tuple[IntArray, IntArray, FloatArray, BoolArray]:
+def _triangles_below(points: FloatArray, triangles: FloatArray) -> tuple[IntArray, IntArray, FloatArray, BoolArray]:
     """Find the triangles (M, 3, 3) below points (K, 3) of rising x: pairs of both, the height, and who faces up."""
     x, y, z = points.T
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(triangles, 0, -1)

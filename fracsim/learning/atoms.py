@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from ..common.arrays import IntArray
 from ..common.errors import BakeError, MissingExtraError
 from ..data.samples import TRAINING_SPLIT, Samples, sample_block
+from ..data.workers import run_blocks
 from ..fracture.rule import Interfaces, separated
 from ..simulators.base import FineCells, FractureSimulator, interfaces_between, pieces_from_broken
 from ..simulators.fracture_modes import ATOM_FLOOR
@@ -91,7 +92,7 @@ class Atoms:
         return replace(samples, labels=merged, broken=separated(merged, self.interfaces.pairs))
 
 
-def observe_fractures(simulator: FractureSimulator, seed: int) -> list[Samples]:
+def observe_fractures(simulator: FractureSimulator, seed: int, workers: int = 1) -> list[Samples]:
     """Draw the first blocks of samples of a simulator that has no atoms of its own, for ``atoms_for``.
 
     Parameters
@@ -100,13 +101,16 @@ def observe_fractures(simulator: FractureSimulator, seed: int) -> list[Samples]:
         The simulator.
     seed : int
         Of the samples.
+    workers : int
+        Processes that draw them.
 
     Returns
     -------
     list of Samples
         The blocks; none where the simulator's cracks are fixed.
     """
-    return [] if simulator.fixed_cracks else [sample_block(simulator, seed, block) for block in range(OBSERVED_BLOCKS)]
+    blocks = [] if simulator.fixed_cracks else list(range(OBSERVED_BLOCKS))
+    return list(run_blocks(sample_block, simulator, seed, blocks, workers))
 
 
 def atoms_for(simulator: FractureSimulator, observed: list[Samples], min_piece_volume_fraction: float) -> Atoms:

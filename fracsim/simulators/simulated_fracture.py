@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -128,8 +129,9 @@ class SimulatedFracture:
             raise FracsimError(f"{path}: unknown ending {path.suffix!r}; use one of {', '.join(FORMATS)}")
         meshes = [trimesh.Trimesh(piece.vertices, piece.faces, process=False) for piece in self.pieces]
         if path.suffix in (".ply", ".stl"):
-            data = trimesh.util.concatenate(meshes).export(file_type=path.suffix[1:])
+            scene: Any = trimesh.util.concatenate(meshes)
         else:
-            named = {f"piece_{index:03d}": mesh for index, mesh in enumerate(meshes)}
-            data = trimesh.Scene(named).export(file_type=path.suffix[1:])
+            named: Any = {f"piece_{index:03d}": mesh for index, mesh in enumerate(meshes)}
+            scene = trimesh.Scene(named)
+        data = scene.export(file_type=path.suffix[1:])
         write_beside(path, data if isinstance(data, bytes) else data.encode())

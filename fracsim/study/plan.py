@@ -10,10 +10,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ..common.errors import BakeError, ModelError
+from ..common.errors import BakeError, MaterialError, ModelError
+from ..common.material import as_material
 from ..learning import MODELS
 from ..learning.options import with_training
-from ..simulators.registry import SimulatorOptions, options_for
+from ..simulators.registry import SimulatorOptions, options_for, options_for_body
 
 UNLEARNED = ("simulator", "precomputed")  # kinds of rows that nothing is learned for
 
@@ -99,6 +100,11 @@ class Plan:
         Rows that others published, shown beside ours as they are.
     studies : tuple of str
         Paths of ``trials.json`` files of ``fracsim tune``, whose Pareto fronts are drawn in one chart.
+    material : str
+        What the meshes are made of, for a simulator that depends on it.
+    settings : dict, optional
+        The options of the simulator that are set, by name; the others follow from material and size where the simulator
+        depends on them. None: all are set.
     """
 
     meshes: tuple[MeshPlan, ...]
@@ -107,6 +113,25 @@ class Plan:
     seed: int
     published: tuple[dict[str, Any], ...]
     studies: tuple[str, ...] = ()
+    material: str = "ceramic"
+    settings: dict[str, Any] | None = None
+
+    def simulator_of(self, size: float) -> SimulatorOptions:
+        """Make the options of the simulator of a mesh.
+
+        Parameters
+        ----------
+        size : float
+            m, its largest extent.
+
+        Returns
+        -------
+        SimulatorOptions
+            The plan's, with what follows from the material and the size.
+        """
+        if self.settings is None:
+            return self.simulator
+        return options_for_body(self.simulator.name, as_material(self.material), size, **self.settings)
 
     def models_of(self, mesh: MeshPlan) -> list[ModelPlan]:
         """List the models that are measured on a mesh.
@@ -130,8 +155,8 @@ def read_plan(path: str | Path) -> Plan:
     Parameters
     ----------
     path : str or Path
-        A TOML file with ``[[meshes]]``, ``[[models]]``, ``[simulator]``, ``seed``, ``[[published]]`` and ``studies``.
-        File names in it are relative to its folder.
+        A TOML file with ``[[meshes]]``, ``[[models]]``, ``[simulator]``, ``material``, ``seed``, ``[[published]]`` and
+        ``studies``. File names in it are relative to its folder.
 
     Returns
     -------
@@ -150,15 +175,19 @@ def read_plan(path: str | Path) -> Plan:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
         meshes = tuple(MeshPlan(**mesh) for mesh in document.pop("meshes"))
         models = tuple(ModelPlan(**{**m, "meshes": tuple(m.get("meshes", ()))}) for m in document.pop("models"))
+        simulator = dict(document.pop("simulator", {}))
+        settings = {name: value for name, value in simulator.items() if name != "name"}
         plan = Plan(
             tuple(replace(m, file=str((path.parent / m.file).resolve())) for m in meshes),
             models,
-            options_for(**document.pop("simulator", {})),
+            options_for(**simulator),
             int(document.pop("seed", 0)),
             tuple(document.pop("published", ())),
             tuple(str((path.parent / study).resolve()) for study in document.pop("studies", ())),
+            as_material(document.pop("material", Plan.material)).name,
+            settings,
         )
-    except BakeError as error:
+    except (BakeError, MaterialError) as error:
         raise ModelError(f"{path}: {error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: not a plan ({error})") from error

@@ -22,7 +22,8 @@ from ..data.dataset import Dataset
 from ..data.samples import Samples
 from ..data.writing import make_dataset
 from ..learning.body import BodyGeometry
-from ..simulators.base import FractureSimulator
+from ..simulators import simulator_class
+from ..simulators.base import FractureSimulator, MaterialDependent
 from ..solids.surface import Surface, read_surface, refine, split_faces
 from .plan import MeshPlan, ModelPlan, Plan
 
@@ -71,11 +72,13 @@ def dataset_of(
     simulator : FractureSimulator
         The simulator that they come from.
     """
-    inputs = json.dumps([asdict(plan.simulator), mesh.splits, plan.seed], sort_keys=True)
+    surface = surface_of(mesh)
+    options = plan.simulator_of(surface.scale)
+    inputs = json.dumps([asdict(options), mesh.splits, plan.seed], sort_keys=True)
     path = work / f"{mesh.name}-{hashlib.sha256(inputs.encode()).hexdigest()[:12]}.h5"
     stage(f"{mesh.name}: samples")
     if not (path.is_file() and _has_samples(path, mesh.samples)):  # or another process may be reading what it made
-        make_dataset(path, surface_of(mesh), mesh.samples, plan.seed, plan.simulator)
+        make_dataset(path, surface, mesh.samples, plan.seed, options)
     with Dataset(path) as dataset:
         body, samples = BodyGeometry.read(dataset, stage.ticker(f"{mesh.name}: distances"))
         simulator = dataset.simulator
@@ -103,6 +106,8 @@ def model_stem(plan: Plan, mesh: MeshPlan, model: ModelPlan) -> str:
     described = {name: value for name, value in asdict(model).items() if name != "meshes"}
     inputs: dict[str, Any] = {"mesh": (mesh.name, mesh.splits, mesh.samples), "model": described, "seed": plan.seed}
     inputs["simulator"] = asdict(plan.simulator)
+    if isinstance(simulator_class(plan.simulator.name), MaterialDependent):
+        inputs["material"] = plan.material
     if model.others:
         inputs["all"] = [(m.name, m.splits, m.samples) for m in plan.meshes]
     digest = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]

@@ -130,6 +130,39 @@ def test_a_users_simulator_bakes_into_an_asset_that_breaks_between_its_cells(sli
     assert max(len(asset.fracture(impulse).pieces) for impulse in hard) > 1
 
 
+def test_a_bake_asks_the_simulator_for_what_it_was_not_told(mesh, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(simulators.SIMULATORS, "brittle", Brittle)
+    out, sizes = tmp_path / "bar.frac", ["--cells", "200", "--steps", "40", "--workers", "1", "--quiet"]
+    code = main(["bake", str(mesh), "--out", str(out), "--simulator", "brittle", "--material", "ice", *sizes])
+    assert code == 0, capsys.readouterr().err
+    assert "ari_other_tiling" in capsys.readouterr().out
+    asset = fracsim.load(out)
+    record, metadata = asset.baked_from, asset.metadata
+    assert (record.simulator, record.severity_kind) == ("brittle", "force")
+    assert asset.arrays.complex.count == 6  # slices of ice
+    assert metadata["simulator_options"]["slices"] == 6
+    assert metadata["options"] == metadata["options"] | {"cells": 200, "modes": 20, "samples": 700}
+    assert metadata["options"]["min_piece_volume_fraction"] == 1e-3
+    assert metadata["repeatability"]["ari_moved_1_percent"] > 0.8
+    strong = asset.impulse_of(20.0 * record.typical_severity, asset.vertices[0], -asset.vertices[0])
+    assert asset.fracture(strong).broken
+
+
+def test_a_dataset_of_the_command_line_is_of_its_material(mesh, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(simulators.SIMULATORS, "brittle", Brittle)
+    out = tmp_path / "bar.h5"
+    make = ["dataset", "make", str(mesh), "--out", str(out), "--simulator", "brittle", "--cells", "200", "--quiet"]
+    assert main([*make, "--samples", "10", "--material", "glass"]) == 0
+    with Dataset(out) as dataset:
+        assert dataset.header["simulator"]["slices"] == 7
+        assert dataset.severity_kind == "force"
+        assert "peak force" in dataset.header["units"]
+    assert main([*make, "--samples", "10", "--material", "ice"]) == 2
+    assert "was made from slices 7" in capsys.readouterr().err
+    assert main([*make, "--samples", "10", "--material", "ice", "--set", "slices=7"]) == 0
+    assert main(["dataset", "make", "--like", str(out), "--out", str(tmp_path / "x.h5"), "--material", "ice"]) == 2
+
+
 def test_options_of_a_simulator_are_its_own(slicer, mesh):
     assert options_for(slicer, slices=3) == SlicerOptions(slicer, slices=3)
     with pytest.raises(fracsim.BakeError, match="'slicer' has no option 'colour'; it has name, cells"):
@@ -144,7 +177,7 @@ def test_options_of_a_simulator_are_its_own(slicer, mesh):
 
 
 def test_a_users_simulator_has_its_own_options_on_the_command_line_in_a_bake_and_in_a_plan(
-    slicer, mesh, tmp_path, capsys
+    slicer, mesh, tmp_path, capsys, monkeypatch
 ):
     out = tmp_path / "bar.h5"
     sizes = ["--cells", "200", "--samples", "10", "--quiet"]
@@ -165,7 +198,15 @@ def test_a_users_simulator_has_its_own_options_on_the_command_line_in_a_bake_and
     lines = ["[simulator]", f'name = "{slicer}"', "slices = 5", "[[meshes]]", 'name = "bar"', 'file = "bar.obj"']
     plan.write_text("\n".join([*lines, "[[models]]", 'name = "near"', 'kind = "nearest"']))
     assert read_plan(plan).simulator.slices == 5
-    plan.write_text(plan.read_text().replace("slices", "cuts"))
+    monkeypatch.setitem(simulators.SIMULATORS, "brittle", Brittle)
+    plan.write_text(plan.read_text().replace(slicer, "brittle"))
+    assert read_plan(plan).simulator_of(1.0).slices == 5  # as it says
+    plan.write_text('material = "ice"\n' + plan.read_text().replace("slices = 5\n", ""))
+    assert read_plan(plan).simulator_of(1.0).slices == 6
+    plan.write_text(plan.read_text().replace('"ice"', '"jelly"'))
+    with pytest.raises(fracsim.ModelError, match=r"plan\.toml: unknown material 'jelly'"):
+        read_plan(plan)
+    plan.write_text("\n".join([*lines, "[[models]]", 'name = "near"', 'kind = "nearest"']).replace("slices", "cuts"))
     with pytest.raises(fracsim.ModelError, match=r"plan\.toml: .*no option 'cuts'"):
         read_plan(plan)
 
@@ -178,15 +219,15 @@ class Brittle(Slicer):
 
     @classmethod
     def material_options(cls, material: Material, size: float) -> dict[str, float]:
-        return {"slices": 2 if material.name == "ice" else max(3, round(10 * size))}
+        return {"slices": 6 if material.name == "ice" else max(7, round(10 * size))}
 
 
 def test_options_follow_from_the_body_unless_they_are_set(monkeypatch):
     monkeypatch.setitem(simulators.SIMULATORS, "brittle", Brittle)
     ice, glass = as_material("ice"), as_material("glass")
-    assert options_for_body("brittle", ice, 0.4, cells=200) == SlicerOptions("brittle", 200, slices=2)
-    assert options_for_body("brittle", glass, 0.4) == SlicerOptions("brittle", slices=4)
-    assert options_for_body("brittle", ice, 0.4, slices=7) == SlicerOptions("brittle", slices=7)
+    assert options_for_body("brittle", ice, 0.4, cells=200) == SlicerOptions("brittle", 200, slices=6)
+    assert options_for_body("brittle", glass, 0.9) == SlicerOptions("brittle", slices=9)
+    assert options_for_body("brittle", ice, 0.4, slices=4) == SlicerOptions("brittle", slices=4)
     assert options_for_body("modal", ice, 0.4, modes=3) == SimulatorOptions(modes=3)
     with pytest.raises(fracsim.BakeError, match="no option 'cuts'"):
         options_for_body("brittle", ice, 0.4, cuts=1)
@@ -218,7 +259,7 @@ def test_a_name_that_nothing_has_is_refused_with_those_that_are_there():
     for ask in (lambda: simulator_class("guess"), lambda: SimulatorOptions(name="guess")):
         with pytest.raises(
             fracsim.BakeError,
-            match="unknown simulator 'guess'; use modal or .*elastic or radial",
+            match=r"unknown simulator 'guess'; use modal or .*elastic or radial",
         ):
             ask()
 
