@@ -6,12 +6,15 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from physics_bodies import Specimen
+from physics_bodies import Specimen, owner
 
-from fracsim.common.arrays import FloatArray, IntArray
-from fracsim.simulators.base import interfaces_between
+from fracsim.common.arrays import BoolArray, FloatArray, IntArray
+from fracsim.fracture.rule import components
+from fracsim.simulators.base import interfaces_between, merge_small_pieces_each
 from fracsim.simulators.lattice import Stiffness
 from fracsim.simulators.merging import merge_bound
+from fracsim.simulators.sequential_cracks import CrackPath, IntactBody, crack_ramp
+from fracsim.simulators.sequential_impact import Breaks, Contacts, Impact, Setting
 from fracsim.simulators.softening import LEAST_LEFT, Softening
 from fracsim.simulators.structural import HELD, StructuralOptions, group_cells
 from fracsim.solids.solid import relabel, sum_by_index
@@ -108,4 +111,66 @@ class StructuralEngine:
         return merge_bound(self.cells.volumes, pairs, areas, bonds, HELD, floor)[self.atom]
 
 
-ENGINES: dict[str, type[Engine]] = {"structural": StructuralEngine}
+class SequentialEngine:
+    """Cracks run face by face, under a load that is held or that of a hit."""
+
+    def __init__(self, specimen: Specimen, seed: int) -> None:
+        options = specimen.options
+        self.specimen = specimen
+        self.body = IntactBody(specimen.lattice)
+        self.interfaces = interfaces_between(specimen.solid)
+        self.setting = Setting(options.brittleness, options.strain, options.hertz, SMALLEST)
+
+    @property
+    def struck(self) -> bool:
+        """Whether the load is that of a hit."""
+        return bool(self.specimen.direction.any())
+
+    @cached_property
+    def path(self) -> CrackPath:
+        """How a held load cracks the body."""
+        specimen = self.specimen
+        brittleness = self.setting.brittleness
+        return crack_ramp(self.body, specimen.forces, brittleness, specimen.cracked, smallest=SMALLEST)
+
+    @cached_property
+    def impact(self) -> Impact:
+        """The hit."""
+        specimen = self.specimen
+        cell = np.array([owner(specimen.solid, specimen.point)])
+        contacts = Contacts(specimen.point[None], specimen.direction[None], np.ones(1), cell)
+        return Impact(self.body, contacts, self.setting)
+
+    @cached_property
+    def breaks(self) -> Breaks:
+        """What a hit breaks until the body comes apart."""
+        return self.impact.run(np.inf, lambda whole: bool(self.pieces(whole).any()))
+
+    def pieces(self, whole: BoolArray) -> IntArray:
+        """Find the piece of each cell that whole faces (I,) leave; crumbs join a neighbour."""
+        volumes = self.specimen.solid.volumes
+        labels = components(whole[None], self.interfaces.pairs, len(volumes))
+        return merge_small_pieces_each(labels, volumes, self.interfaces, SMALLEST)[0]
+
+    def first_face(self) -> int:
+        """Find the face that breaks first."""
+        return int((self.breaks if self.struck else self.path).faces[0])
+
+    def critical(self) -> float:
+        """Let the load grow until the body comes apart."""
+        if not self.struck:
+            return self.path.separation
+        whole = self.breaks.whole(np.inf, len(self.interfaces))
+        return float(self.breaks.factors[-1]) if self.pieces(whole).any() else np.inf
+
+    def labels(self, factor: float) -> IntArray:
+        """Let the load grow to a factor; a load that is held is taken away once the body comes apart."""
+        count = len(self.interfaces)
+        if self.struck:
+            return self.pieces(self.impact.run(factor, None).whole(factor, count))
+        whole = ~self.specimen.cracked
+        whole[self.path.faces[self.path.factors <= factor]] = False
+        return self.pieces(whole)
+
+
+ENGINES: dict[str, type[Engine]] = {"sequential": SequentialEngine, "structural": StructuralEngine}
