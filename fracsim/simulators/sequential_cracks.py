@@ -21,7 +21,7 @@ from .lattice import Lattice, Stiffness
 WHOLE, PRESSED, OPEN = 0, 1, 2  # what has become of a face; a pressed one is broken and still carries pressure
 LEAST_COSINE = 0.3  # between a crack and the direction that is pulled in, as far as the crack's energy is concerned
 OPENS = 1e-9  # of the largest pressure on a crack: a pull below it is rounding
-SINGULAR = 1e-11  # of springs that go: what the rest of the body adds to their hold, at least; less would be a mechanism
+SINGULAR = 1e-11  # of springs that go: what the rest of the body adds to their hold, at least; less is a mechanism
 REGULAR = 1e-9  # added to 1 where a face alone holds two parts together
 
 
