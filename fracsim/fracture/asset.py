@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,9 @@ from .predictor import FieldWeights
 from .query import FractureQuery
 from .result import Fracture
 from .rule import load_ratios, weakest_cut
+
+if TYPE_CHECKING:
+    from .. import Simulator
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,6 +401,26 @@ class BreakableAsset:
             severity, self.faces[face], barycentric, points, directions, self.query.mass_properties
         )
         return [Impulse(*impact) for impact in zip(points, directions, magnitude, strict=True)]
+
+    def simulator(self) -> Simulator:
+        """Make the simulator again that the asset was baked from. It needs the extra ``bake``, and takes seconds.
+
+        Returns
+        -------
+        Simulator
+            Of the asset's size and material; its options are those of the bake.
+
+        Raises
+        ------
+        BakeError
+            If it has no registered name here.
+        MissingExtraError
+            If what makes it is not installed.
+        """
+        from .. import Simulator  # loads what makes assets, which a simulation does without
+
+        vertices = self.arrays.points[: self.vertex_count]
+        return Simulator.of_bake(vertices, self.faces, self.scale, self.offset, self.name, self.material, self.metadata)
 
     # The file
 

@@ -6,11 +6,11 @@ rooms ask simulators directly, in units of the body.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from ..fracture.severity import MassProperties, SeverityScale
 from ..geometry.locate import closest_on_surface
 from ..geometry.sampling import CONE, SurfacePoints, cone, ratios
 from ..solids.surface import Surface, read_surface, refine
+from . import SIMULATORS
 from .base import ContactCompliance, FractureSimulator, Impacts, interfaces_between
 from .capabilities import reference_factors, severity_kind_of
 from .diffusion import GAUGE
@@ -105,6 +106,54 @@ class Simulator:
         self.seed = seed
         with Stages(progress) as stage:
             self.simulator: FractureSimulator = make_simulator(self.surface, self.options, seed, stage)
+
+    @classmethod
+    def of_bake(
+        cls,
+        vertices: FloatArray,
+        faces: IntArray,
+        scale: float,
+        offset: FloatArray,
+        name: str,
+        material: Material,
+        metadata: Mapping[str, Any],
+    ) -> Self:
+        """Make the simulator again that an asset was baked from; ``BreakableAsset.simulator`` calls it.
+
+        Parameters
+        ----------
+        vertices, faces, scale, offset, name
+            As of ``solids.surface.Surface``: the asset's own surface.
+        material : Material
+            The asset's.
+        metadata : mapping
+            The asset's. It holds the seed and the options, what followed from the material of the bake included.
+
+        Returns
+        -------
+        Simulator
+            It answers with the same bits, of simulators that repeat themselves.
+
+        Raises
+        ------
+        BakeError
+            If the simulator has no registered name here, or the asset does not say what it was.
+        """
+        simulator = metadata.get("simulator")
+        if simulator not in SIMULATORS:
+            raise BakeError(
+                f"{name}: was baked from a simulator that is not registered here ({simulator}); register it first"
+            )
+        options = metadata.get("simulator_options")
+        if options is None:  # of a bake before they were kept: those that any simulator has
+            kept = metadata.get("options", {})
+            names = ("cells", "modes", "min_piece_volume_fraction")
+            if not {*names} <= set(kept):
+                raise BakeError(f"{name}: does not say how its simulator was made; bake it again")
+            options = {option: kept[option] for option in names} | kept.get("simulator_settings", {})
+        values = {option: value for option, value in options.items() if option != "name"}
+        surface = Surface(vertices, faces, scale, offset, name)
+        return cls(surface, simulator, material, int(metadata.get("seed", 0)), **values)
 
     def __repr__(self) -> str:
         return (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -168,6 +168,22 @@ def test_it_answers_as_the_asset_baked_from_it_does(slab, slab_mesh):
         assert fracsim.metrics.ari(mine.labels, other.labels) == 1.0
         assert mine.severity == pytest.approx(other.severity)
         assert mine.broken_area == pytest.approx(other.crack_area)
+
+
+def test_an_asset_makes_the_simulator_again_that_it_was_baked_from(slab, tmp_path):
+    slab.save(tmp_path / "slab.frac")
+    again = fracsim.load(tmp_path / "slab.frac").simulator()
+    np.testing.assert_array_equal(again.simulator.impact_field.astype(np.float32), slab.arrays.impact_field)
+    np.testing.assert_array_equal(again.vertices, slab.vertices)
+    small = slab.scaled(0.5).with_material("ice").simulator()
+    assert (small.size, small.material.name) == (slab.size / 2, "ice")
+    impulse = slab.sample_impulses(1, 0)[0]
+    assert again.fracture(impulse).severity == pytest.approx(slab.fracture(impulse).severity)
+    old = replace(slab, metadata={key: value for key, value in slab.metadata.items() if key != "simulator_options"})
+    np.testing.assert_array_equal(old.simulator().simulator.impact_field, again.simulator.impact_field)
+    for metadata, fault in (({"simulator": "Mine"}, "not registered here"), ({"simulator": "modal"}, "bake it again")):
+        with pytest.raises(fracsim.BakeError, match=fault):
+            replace(slab, metadata=metadata).simulator()
 
 
 def test_it_refuses_what_it_cannot_make(tmp_path):
