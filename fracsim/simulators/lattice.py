@@ -17,21 +17,18 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import dijkstra
-from scipy.sparse.linalg import SuperLU, splu
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
-from ..common.contact import ContactLaw
 from ..geometry.locate import closest_on_triangles
 from ..solids.solid import Solid
-from ..solids.surface import Surface
 from .base import Impacts
-from .lattice_faces import CellFaces, cell_faces
-from .lattice_options import LatticeOptions
+from .lattice_faces import CellFaces
+from .lattice_factor import Factor, factorise, filling_least
+from .lattice_springs import cross_matrices, jump_matrices, normal_springs, springs, torsion_share
+from .lattice_stress import principal_on
 
 PATCH = 0.08  # of the largest extent: the standard deviation of the patch that a contact's force is spread over
 BLOCK = 256  # forces that are solved for at a time, for memory
-STILL = 0.02  # speed number of contacts so long that the body's own duration can be worked out with it
-FALLS = 20  # over which that duration's median is taken
 PATCH_REACH = 3.0  # standard deviations, along the body, beyond which a cell takes no part of the force
 
 
@@ -102,7 +99,7 @@ class Lattice:
         """(6 N, 6): the motions of the cells when the whole body moves or turns about the origin."""
         motions = np.zeros((len(self), 6, 6))
         motions[:, :3, :3] = motions[:, 3:, 3:] = np.eye(3)
-        motions[:, :3, 3:] = -_cross_matrices(self.centroids)
+        motions[:, :3, 3:] = -cross_matrices(self.centroids)
         return motions.reshape(-1, 6)
 
     @cached_property
@@ -114,17 +111,8 @@ class Lattice:
 
     @cached_property
     def jump_matrices(self) -> FloatArray:
-        """(I, 6, 12): from the motions of a face's two cells to the jump across it.
-
-        A jump is the displacement at the face's centroid and the rotation of the second cell seen from the first.
-        """
-        faces, result = self.faces, np.zeros((len(self.faces.areas), 6, 12))
-        for side, sign in ((0, -1.0), (1, 1.0)):
-            arm = faces.centroids - self.centroids[faces.pairs[:, side]]
-            result[:, :3, 6 * side : 6 * side + 3] = sign * np.eye(3)
-            result[:, 3:, 6 * side + 3 : 6 * side + 6] = sign * np.eye(3)
-            result[:, :3, 6 * side + 3 : 6 * side + 6] = -sign * _cross_matrices(arm)
-        return result
+        """(I, 6, 12): from the motions of a face's two cells to the jump across it (``lattice_springs``)."""
+        return jump_matrices(self.faces, self.centroids)
 
     @cached_property
     def unknowns(self) -> IntArray:
@@ -133,33 +121,18 @@ class Lattice:
 
     @cached_property
     def torsion_share(self) -> FloatArray:
-        """(I,): the torsional stiffness of each face over that of its springs.
-
-        The springs' is the polar moment of the face's area, with which plates one cell thick would lock. It is
-        lowered to I_min (1 + I_min / I_max): right for such a plate, and the polar moment itself for square faces.
-        """
-        low, high = np.maximum(np.linalg.eigvalsh(self.faces.second_moments)[:, 1:], 1e-30).T
-        return np.asarray(low * (1.0 + low / high) / (low + high))
+        """(I,): the torsional stiffness of each face over that of its springs (``lattice_springs``)."""
+        return torsion_share(self.faces)
 
     @cached_property
     def springs(self) -> FloatArray:
         """(I, 6, 6): from the jump across a face to the force and moment at its centroid."""
-        faces = self.faces
-        result = np.zeros((len(faces.areas), 6, 6))
-        result[:, :3, :3] = (faces.areas / faces.spring_lengths)[:, None, None] * np.eye(3)
-        trace = np.trace(faces.second_moments, axis1=1, axis2=2)
-        turning = (trace[:, None, None] * np.eye(3) - faces.second_moments) / faces.spring_lengths[:, None, None]
-        torsion = np.einsum("fi,fij,fj->f", faces.normals, turning, faces.normals)
-        lost = torsion * (1.0 - self.torsion_share)
-        result[:, 3:, 3:] = turning - lost[:, None, None] * _outer(faces.normals)
-        return result
+        return springs(self.faces, self.torsion_share)
 
     @cached_property
     def normal_springs(self) -> FloatArray:
         """(I, 6, 6): the part of the springs that carries pressure."""
-        result = np.zeros_like(self.springs)
-        result[:, :3, :3] = (self.faces.areas / self.faces.spring_lengths)[:, None, None] * _outer(self.faces.normals)
-        return result
+        return normal_springs(self.faces)
 
     @cached_property
     def whole(self) -> Stiffness:
@@ -170,28 +143,26 @@ class Lattice:
     # Solving
 
     @cached_property
-    def _ordering(self) -> IntArray:
-        """The order of cells in which a factorisation fills in least, as SuperLU finds it on the graph of cells."""
-        n = len(self)
-        one = np.ones(len(self.faces.areas))
-        graph = sp.coo_matrix((one, tuple(self.faces.pairs.T)), shape=(n, n))
-        graph = sp.csc_matrix(graph + graph.T + sp.diags(np.full(n, float(n))))
-        options = {"SymmetricMode": True}
-        return np.asarray(splu(graph, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).perm_c)
+    def _place(self) -> IntArray:
+        """Where each unknown (6 N,) stands in the ordered system."""
+        return np.asarray((6 * filling_least(self.faces.pairs, len(self))[:, None] + np.arange(6)).ravel())
 
     @cached_property
     def _pattern(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
         """Where each face's entries go in the ordered system: CSC indices, pointers, slots, and s² M's data."""
         n = 6 * len(self)
-        place = (6 * self._ordering[:, None] + np.arange(6)).ravel()
+        place = self._place
         at = place[self.unknowns]
         rows, columns = np.repeat(at, 12, axis=1).ravel(), np.tile(at, (1, 12)).ravel()
         mass = self.mass_matrix.tocoo()
         key = np.concatenate([columns * n + rows, place[mass.col] * n + place[mass.row]])
         unique, slot = np.unique(key, return_inverse=True)
         slot = slot.reshape(-1)
-        fixed = np.bincount(slot[len(rows) :], self.speed_number**2 * mass.data, minlength=len(unique))
-        return unique % n, np.searchsorted(unique, np.arange(n + 1) * n), slot[: len(rows)], fixed
+        fixed = np.bincount(slot[len(rows) :], self.speed_number**2 * mass.data, minlength=len(unique)).astype(
+            np.float64
+        )
+        pointers = np.searchsorted(unique, np.arange(n + 1) * n)
+        return np.asarray(unique % n), np.asarray(pointers), np.asarray(slot[: len(rows)]), fixed
 
     @cached_property
     def _face_entries(self) -> tuple[FloatArray, FloatArray]:
@@ -225,9 +196,7 @@ class Lattice:
         data = fixed + np.bincount(slot, entries.ravel(), minlength=len(indices))
         n = len(pointers) - 1
         system = sp.csc_matrix((data, indices, pointers), shape=(n, n))
-        options = {"SymmetricMode": True, "Equil": False}
-        place = (6 * self._ordering[:, None] + np.arange(6)).ravel()
-        return Factor(splu(system, permc_spec="NATURAL", diag_pivot_thresh=0.0, options=options), place)
+        return factorise(system, self._place)
 
     @cached_property
     def intact(self) -> Factor:
@@ -462,7 +431,7 @@ class Lattice:
             product[:, k] = 0.5 * (arm[:, i] * force[:, j] + arm[:, j] * force[:, i])
         return np.asarray(incidence @ product)
 
-    def tension(self, jumps: FloatArray, stiffness: Stiffness) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def tension(self, jumps: FloatArray, stiffness: Stiffness) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Compute how hard tension pulls on every face.
 
         Parameters
@@ -510,146 +479,7 @@ class Lattice:
         traction = (rate * stiffness.left)[:, None] * corner
         traction[shut] += (rate * (1.0 - stiffness.left) * across)[shut, None] * normal[shut]
         pulled = across > 0.0
-        value, vector = _corrected_principal(mean, traction, normal)
+        value, vector = principal_on(mean, traction, normal)
         cosine = np.abs(np.einsum("fi,fi->f", vector, normal))
         tension = np.where(pulled & (value > 0.0), value * cosine, 0.0)
         return tension, cosine, np.einsum("fi,fi->f", force, normal) < 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Factor:
-    """A factorised system.
-
-    Attributes
-    ----------
-    lu : SuperLU
-        Of the ordered system.
-    place : ndarray of int64, shape (6 N,)
-        Where each unknown stands in the order.
-    """
-
-    lu: SuperLU
-    place: IntArray
-
-    def solve(self, forces: FloatArray) -> FloatArray:
-        """Solve for the motions of the cells.
-
-        Parameters
-        ----------
-        forces : ndarray of float64, shape (6 N,) or (6 N, R)
-            On the cells.
-
-        Returns
-        -------
-        ndarray of float64, of the same shape
-            Their motions.
-        """
-        ordered = np.empty_like(forces)
-        ordered[self.place] = forces
-        return np.asarray(self.lu.solve(ordered)[self.place])
-
-
-def lattice_of(surface: Surface, cells: Solid, options: LatticeOptions) -> Lattice:
-    """Join the cells of a body with springs.
-
-    Parameters
-    ----------
-    surface : Surface
-        The body's.
-    cells : Solid
-        Of the body.
-    options : LatticeOptions
-        What follows from the material; where it does not give the speed number, that of the median contact over
-        falls in random directions onto the lowest vertex is taken.
-
-    Returns
-    -------
-    Lattice
-        Of the body.
-    """
-    faces = cell_faces(cells)
-    if options.speed_number > 0.0:
-        return Lattice(cells, faces, options.speed_number)
-    still = Lattice(cells, faces, STILL)
-    up = np.random.default_rng(0).standard_normal((FALLS, 3))
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    lowest = np.argmin(up @ surface.vertices.T, axis=1)
-    at = cells.vertex_cells(len(surface.vertices))[lowest]
-    compliance = still.compliances(at, surface.vertices[lowest], up)
-    ratios = []
-    for k, vertex in enumerate(lowest.tolist()):
-        mass = still.effective_mass(still.force(int(at[k]), surface.vertices[vertex], up[k]))
-        law = ContactLaw(options.hertz, float(compliance[k]))
-        # The pulse is half a swing of a mass on a spring: with pi / t for its frequency the peak force is m v pi / t.
-        force = float(law.peak_force(0.5 * mass * options.approach_speed**2))
-        ratios.append(force / (mass * options.approach_speed))
-    return Lattice(cells, faces, float(np.median(ratios)))
-
-
-def _cross_matrices(vectors: FloatArray) -> FloatArray:
-    """Make the matrices (N, 3, 3) of a × · for vectors a (N, 3)."""
-    result = np.zeros((len(vectors), 3, 3))
-    result[:, 0, 1], result[:, 0, 2], result[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
-    return result - np.swapaxes(result, 1, 2)
-
-
-def _outer(vectors: FloatArray) -> FloatArray:
-    return np.asarray(vectors[:, :, None] * vectors[:, None, :])
-
-
-def _corrected_principal(mean: FloatArray, traction: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Give stresses (N, 6) tractions (N, 3) on normals (N, 3): the largest principal stress and its direction."""
-    xx, yy, zz, yz, xz, xy = mean.T
-    nx, ny, nz = normal.T
-    ex = traction[:, 0] - (xx * nx + xy * ny + xz * nz)
-    ey = traction[:, 1] - (xy * nx + yy * ny + yz * nz)
-    ez = traction[:, 2] - (xz * nx + yz * ny + zz * nz)
-    en = ex * nx + ey * ny + ez * nz
-    return principal(
-        xx + (2.0 * ex - en * nx) * nx,
-        yy + (2.0 * ey - en * ny) * ny,
-        zz + (2.0 * ez - en * nz) * nz,
-        yz + ey * nz + ez * ny - en * ny * nz,
-        xz + ex * nz + ez * nx - en * nx * nz,
-        xy + ex * ny + ey * nx - en * nx * ny,
-    )
-
-
-def principal(
-    xx: FloatArray, yy: FloatArray, zz: FloatArray, yz: FloatArray, xz: FloatArray, xy: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Find the largest principal stress and its direction, in closed form.
-
-    Parameters
-    ----------
-    xx, yy, zz, yz, xz, xy : ndarray of float64, shape (N,)
-        Components of N stresses.
-
-    Returns
-    -------
-    value : ndarray of float64, shape (N,)
-        The largest eigenvalue.
-    direction : ndarray of float64, shape (N, 3)
-        Its unit eigenvector, of either sign; any where the three eigenvalues are equal.
-
-    Notes
-    -----
-    Smith 1961, *Eigenvalues of a symmetric 3 × 3 matrix*: a hundred times faster than LAPACK, one by one.
-    """
-    third = (xx + yy + zz) / 3.0
-    a, b, c = xx - third, yy - third, zz - third
-    spread = np.sqrt(np.maximum((a * a + b * b + c * c + 2.0 * (yz * yz + xz * xz + xy * xy)) / 6.0, 1e-60))
-    determinant = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
-    angle = np.arccos(np.clip(determinant / (2.0 * spread**3), -1.0, 1.0)) / 3.0
-    value = third + 2.0 * spread * np.cos(angle)
-    # The rows of A - λ span the plane across the eigenvector; of their cross products the longest is taken.
-    a, b, c = xx - value, yy - value, zz - value
-    rows = np.array([[a, xy, xz], [xy, b, yz], [xz, yz, c]])  # (3, 3, N)
-    products = np.stack([np.cross(rows[i], rows[j], axis=0) for i, j in ((0, 1), (0, 2), (1, 2))])  # (3, 3, N)
-    square = (products**2).sum(axis=1)
-    best = np.argmax(square, axis=0)
-    column = np.arange(len(best))
-    vector, length = products[best, :, column], np.sqrt(square[best, column])
-    flat = length < 1e-30
-    vector[flat] = (1.0, 0.0, 0.0)
-    return value, vector / np.where(flat, 1.0, length)[:, None]

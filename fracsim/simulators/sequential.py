@@ -24,7 +24,8 @@ from ..solids.solid import Solid
 from ..solids.surface import Surface
 from ..solids.voronoi import voronoi_solid
 from .base import Impacts, Progress, Response, State, interfaces_between, merge_small_pieces_each, no_progress
-from .lattice import Lattice, lattice_of
+from .lattice import Lattice
+from .lattice_build import lattice_of
 from .lattice_faces import cell_faces
 from .lattice_options import LatticeOptions, material_options
 from .sequential_cracks import Cracks, IntactBody

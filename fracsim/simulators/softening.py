@@ -125,7 +125,7 @@ class Softening:
             factor = lattice.intact if step == 0 and start is None else lattice.factorise(stiffness)
             response = factor.solve(unit)
             jumps = lattice.jumps(response)
-            moved, compliance = lattice.answer(unit, response)
+            moved, compliance = (float(number) for number in lattice.answer(unit, response))
             law = ContactLaw(hertz, compliance)
             if step == 0:
                 force, motion = total * self.strain, moved
@@ -141,5 +141,6 @@ class Softening:
             if not (left[tension > bearable] > GONE).any():  # what still fails holds nothing any more
                 break
             kept = np.minimum(bearable / np.maximum(tension, 1e-300), 1.0) ** ENERGY
-            stiffness = Stiffness(np.maximum(left * np.maximum(kept, MOST_LOST), LEAST_LEFT), pressure)
+            softer = np.maximum(left * np.maximum(kept, MOST_LOST), LEAST_LEFT)
+            stiffness = Stiffness(softer, pressure)
         return stiffness.left

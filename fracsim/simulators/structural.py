@@ -28,7 +28,8 @@ from ..solids.solid import Solid, merge_small_regions, relabel, solid_from_array
 from ..solids.surface import Surface
 from ..solids.voronoi import voronoi_solid
 from .base import Impacts, Progress, Response, State, interfaces_between, no_progress
-from .lattice import Lattice, lattice_of
+from .lattice import Lattice
+from .lattice_build import lattice_of
 from .lattice_faces import cell_faces
 from .lattice_options import LatticeOptions, material_options
 from .merging import merge_bound
@@ -363,7 +364,7 @@ class StructuralSimulator:
         """
         fine = solid_from_arrays(arrays, FINE)
         lattice = Lattice(fine, cell_faces(fine), float(numbers["speed_number"]))
-        softening = Softening(lattice, *(float(numbers[name]) for name in ("brittleness", "strain", "hertz")))
+        softening = Softening(lattice, float(numbers["brittleness"]), float(numbers["strain"]), float(numbers["hertz"]))
         return cls(
             surface,
             fine,

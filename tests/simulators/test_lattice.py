@@ -11,9 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fracsim.simulators.base import Impacts
-from fracsim.simulators.lattice import Lattice, Stiffness, lattice_of, principal
+from fracsim.simulators.lattice import Lattice, Stiffness
+from fracsim.simulators.lattice_build import lattice_of
 from fracsim.simulators.lattice_faces import cell_faces
 from fracsim.simulators.lattice_options import LatticeOptions, material_options
+from fracsim.simulators.lattice_stress import principal
 from fracsim.solids.surface import read_surface, refine
 from fracsim.solids.voronoi import voronoi_solid
 
