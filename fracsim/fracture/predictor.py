@@ -102,7 +102,7 @@ class FieldWeights:
         directions : ndarray, shape (K, 3)
             Unit vectors.
         severities : ndarray, shape (K,)
-            Impulse over mass times breaking velocity.
+            How hard each is, see `fracsim.fracture.severity`.
         pairs : ndarray of int64, shape (I, 2)
             The atoms that meet at each interface.
 

@@ -54,7 +54,7 @@ def load_ratios(rows: FloatArray, directions: FloatArray, severities: FloatArray
     directions : ndarray of float64, shape (N, K, 3)
         Unit vectors.
     severities : ndarray of float64, shape (N, K)
-        Impulse over mass times breaking velocity; 0 where a sample has fewer impulses.
+        Impulse over mass times gauge times critical velocity; 0 where a sample has fewer impulses.
     interfaces : Interfaces
         The I interfaces.
 
