@@ -99,7 +99,7 @@ class Fracture:
     predictor : str
         What answered: "field", "interfaces", "simulator"; "given" for a user's field, "none" for no impulse.
     severity : float
-        The sum of those of the impulses (`fracsim.fracture.severity`); of a piece that counts impulses, by its own mass.
+        The sum of those of the impulses (`fracsim.fracture.severity`); of a piece that counts impulses, by its mass.
     clamped : bool
         Whether the severity lay beyond what the model was trained on, and was lowered to that.
     crack_area : float
