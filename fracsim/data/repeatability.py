@@ -183,7 +183,7 @@ def repeatability_of(
     other = None
     if options is not None and simulator_class(options.name).repeatable:
         other = make_simulator(simulator.surface, options, seed + 1)
-    return repeatability(simulator, seed, other, workers=workers, backend=backend, progress=progress)
+    return repeatability(simulator, seed, other, IMPACTS, workers=workers, backend=backend, progress=progress)
 
 
 def moved(surface: Surface, impacts: Impacts, shift: float, rng: np.random.Generator) -> Impacts:

@@ -35,6 +35,7 @@ from .workers import check_workers, run_blocks
 
 try:
     import h5py
+    from threadpoolctl import threadpool_limits
 except ImportError as error:
     raise MissingExtraError("h5py", "bake") from error
 
@@ -231,7 +232,9 @@ def _create(
         raise DatasetError(f"{path}: the simulator is of another surface")
     # A first answer: is it one, and does this simulator say which interfaces break?
     impacts, _ = draw_impacts(surface, 4, np.random.default_rng(0))
-    broken = checked(simulator, impacts, reference_factors(simulator, impacts), simulator.fracture(impacts)).broken
+    with threadpool_limits(1):  # what the simulator works out once and keeps must be the same here as in a worker
+        reference = reference_factors(simulator, impacts)
+        broken = checked(simulator, impacts, reference, simulator.fracture(impacts)).broken
     kind = severity_kind_of(simulator)
     header = {
         "fracsim": __version__,

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -70,6 +71,10 @@ class Lattice:
     def __len__(self) -> int:
         """N, the number of cells."""
         return len(self.cells.volumes)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What goes to another process: all but the factorisation, which does not pickle and is made again there.
+        return {name: value for name, value in vars(self).items() if name != "intact"}
 
     # Mass
 
