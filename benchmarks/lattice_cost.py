@@ -122,7 +122,7 @@ def table(data: dict) -> str:
     lines += [
         "",
         f"A dataset of {data['samples']} samples from `structural` at {CELLS_OF_A_BAKE} cells, by {data['workers']} "
-        f"workers, takes {stages['samples']:.0f} s for the samples ({each:.0f} ms of a core each, first cracks included), "
+        f"workers, takes {stages['samples']:.0f} s for the samples ({each:.0f} ms of a core each), "
         f"{stages['repeatability']:.0f} s for how well the simulator repeats itself, and {stages['cells']:.0f} s for "
         "its cells.",
     ]
