@@ -35,7 +35,7 @@ class CellFaces:
     normals : ndarray of float64, shape (I, 3)
         Unit vectors from the first cell to the second; the mean where a face is not planar.
     second_moments : ndarray of float64, shape (I, 3, 3)
-        ∫ y yᵀ dA, y the position from the centroid.
+        ∫ y yᵀ dA, y the position from the centroid, projected along the normal where the face is not planar.
     spring_lengths : ndarray of float64, shape (I,)
         The distance of the two cells' centroids along the normal.
     corners : ndarray of float64, shape (I, K, 3)
@@ -92,6 +92,7 @@ def cell_faces(solid: Solid) -> CellFaces:
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     centroids = sum_by_index(face, area[:, None] * corner.mean(axis=1), count) / areas[:, None]
     arm = corner - centroids[face, None]
+    arm -= np.einsum("nki,ni->nk", arm, interfaces.normals[face])[:, :, None] * interfaces.normals[face, None]
     total = arm.sum(axis=1)
     outer = np.einsum("nki,nkj->nij", arm, arm) + np.einsum("ni,nj->nij", total, total)
     moments = sum_by_index(face, (area[:, None, None] * outer / 12).reshape(-1, 9), count).reshape(-1, 3, 3)
