@@ -37,14 +37,16 @@ from physics_bodies import (
     tension,
 )
 from physics_engines import ENGINES, Engine, count_pieces, shares
+from physics_figures import draw_pieces, draw_ratios
 
 from fracsim.common.arrays import FloatArray, IntArray
 from fracsim.common.contact import ContactLaw
 
 RESULTS = Path(__file__).parent / "results"
+COMMAND = "python benchmarks/physics.py"
 CELLS = (150, 300, 600)
 TILINGS = 3
-BEYOND = 1.05  # times the critical load: where pieces are counted
+BEYOND = 1.1  # times the critical load: where pieces are counted
 GRAVITY = 9.81  # m/s²
 NOTCHES = {0.1: 149.9, 0.5: 64.2, 1.0: 41.2}  # depth in mm, and the critical stress of the strip in MPa
 LEAST_FRAGMENT = 0.012  # of the body: smaller pieces are joined to others by the simulators
@@ -53,7 +55,7 @@ LOADS = (1.5, 3.0, 6.0, 12.0)  # times the critical load of a plate
 CIRCLE = 0.25  # radius about the point that is hit, on which radial cracks are counted
 SHORTEST = 0.03  # of that circle: a shorter stretch of one piece is a chip, not a sector
 SHATTER = 8.0  # times the critical load, for statistics of fragments
-HITS = 12  # on each body, for statistics of fragments
+HITS = 8  # on each body, for statistics of fragments
 
 Measured = dict[str, float]
 Measure = Callable[[Specimen, Engine], Measured]
@@ -281,7 +283,7 @@ CASES: dict[str, Case] = {
         (
             near_one("moment against a rigid rod's inertia"),
             exactly("pieces", 2, "largest moment, F L / 8, in the middle"),
-            Row("largest", 0.5, 0.6, "the same"),
+            Row("largest", 0.4, 0.6, "the same"),
         ),
     ),
     "free rod hit at a quarter": Case(
@@ -354,7 +356,10 @@ CASES: dict[str, Case] = {
     "thin rod bent and let go": Case(
         pure_bending,
         loaded(),
-        (near_one(BEAM), Row("pieces", 3, np.inf, "flexural waves: Audoly and Neukirch 2005")),
+        (
+            near_one(BEAM),
+            Row("pieces", 3, np.inf, "flexural waves, not in statics: Audoly and Neukirch 2005"),
+        ),
     ),
 }
 
@@ -450,108 +455,62 @@ def markdown(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Draw every load and stress over what is expected, by simulator and number of cells."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    chosen = [row for row in rows if row["measured"] in ("load / theory", "MPa")]
-    figure, axes = pyplot.subplots(figsize=(9, 0.42 * len(chosen) + 1.2))
-    for shift, (engine, colour) in enumerate(zip(ENGINES, ("tab:blue", "tab:orange"), strict=True)):
-        for k, row in enumerate(chosen):
-            scale = 2.0 / (row["expected"]["low"] + row["expected"]["high"])
-            for j, (count, (mean, least, greatest)) in enumerate(row["got"][engine].items()):
-                y = k + 0.36 * shift + 0.09 * j - 0.27
-                label = f"{engine}, {count} cells" if k == 0 else None
-                alpha = (0.35, 0.65, 1.0)[j % 3]
-                axes.plot([least * scale, greatest * scale], [y, y], color=colour, alpha=alpha, lw=1.5)
-                axes.plot([mean * scale], [y], "o", color=colour, alpha=alpha, ms=4, label=label)
-    axes.axvspan(0.85, 1.15, color="0.9", zorder=0)
-    axes.axvline(1.0, color="0.5", lw=0.8)
-    axes.set_yticks(range(len(chosen)), [row["case"] for row in chosen])
-    axes.invert_yaxis()
-    axes.set(xlabel="critical load over what theory says; grey: within 15 %; bars: three tilings", xscale="log")
-    ticks = (0.5, 0.7, 0.85, 1.0, 1.15, 1.5, 2.0, 3.0)
-    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.set_xticks([], minor=True)
-    axes.legend(fontsize=7, loc="lower right")
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
-
-
-def draw_plates(path: Path, cells: int = 600) -> None:
-    """Draw the free plate from above, and the disc, as both simulators break them."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import colormaps, pyplot
-    from matplotlib.collections import PolyCollection
-
-    scenes = [(plate(False), factor, f"plate, {factor:g} x critical") for factor in LOADS[:3]]
-    scenes += [(disc, BEYOND, "disc"), (ring, BEYOND, "ring")]
-    figure, grid = pyplot.subplots(len(ENGINES), len(scenes), figsize=(2.2 * len(scenes), 2.45 * len(ENGINES)))
-    for column, (make, factor, title) in enumerate(scenes):
-        specimen = make(cells, 0)
-        solid = specimen.solid
-        corner = solid.points[solid.triangles]
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        top = (solid.sides[:, 1] < 0) & (normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1))
-        for row, (name, engine) in enumerate(ENGINES.items()):
-            machine = engine(specimen, 0)
-            labels = machine.labels(factor * machine.critical())
-            order = np.argsort(np.argsort(-np.bincount(labels, solid.volumes)))
-            colours = colormaps["tab20"](order[labels[solid.sides[top, 0]]] % 20)
-            axes = grid[row, column]
-            axes.add_collection(PolyCollection(corner[top, :, :2], facecolors=colours, edgecolors=colours, lw=0.2))
-            axes.set(xlim=(-0.52, 0.52), ylim=(-0.52, 0.52), aspect="equal", xticks=[], yticks=[])
-            axes.set_title(f"{title}: {count_pieces(specimen, labels)} pieces", fontsize=7)
-            if column == 0:
-                axes.set_ylabel(name)
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
-
-
 def main() -> None:
     """Run the script."""
     parser = argparse.ArgumentParser(description="Compare the lattice simulators with textbook cases.")
     parser.add_argument("cases", nargs="*", help="all by default")
     parser.add_argument("--quick", action="store_true", help="one tiling of 150 cells; nothing is written")
+    parser.add_argument("--table", action="store_true", help="write table and pictures again from the runs in the JSON")
+    parser.add_argument("--resume", action="store_true", help="do only what the JSON does not hold yet")
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
+    if args.table:
+        write(json.loads((RESULTS / "physics.json").read_text())["runs"])
+        return
     if unknown := set(args.cases) - set(CASES):
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are {', '.join(CASES)}")
     counts, tilings = ((150,), 1) if args.quick else (CELLS, TILINGS)
-    jobs = [
-        delayed(run_one)(name, engine, cells, seed)
-        for name in args.cases or CASES
+    path, whole = RESULTS / "physics.json", not (args.quick or args.cases)
+    results = json.loads(path.read_text())["runs"] if args.resume else []
+    done = {(run["case"], run["engine"], run["cells"], run["seed"]) for run in results}
+    wanted = [
+        (name, engine, cells, seed)
         for cells in counts
+        for name in args.cases or CASES
         for seed in range(tilings)
         for engine in ENGINES
     ]
+    jobs = [delayed(run_one)(*job) for job in wanted if job not in done]
     begin = time.perf_counter()
-    results = []
-    for result in Parallel(args.workers, return_as="generator")(jobs):
+    for count, result in enumerate(Parallel(args.workers, return_as="generator_unordered")(jobs), start=1):
         results.append(result)
         said = ", ".join(f"{key} {number(value)}" for key, value in result["measured"].items())
+        left = (time.perf_counter() - begin) / count * (len(jobs) - count)
         print(
-            f"{len(results)}/{len(jobs)} {time.perf_counter() - begin:.0f} s: {result['case']}, {result['engine']}, "
-            f"{result['cells']} cells: {said} ({result['seconds']:.1f} s)",
+            f"{count}/{len(jobs)}, {left:.0f} s to go: {result['case']}, {result['engine']}, {result['cells']} cells: "
+            f"{said} ({result['seconds']:.1f} s)",
             flush=True,
         )
+        if whole:
+            path.write_text(json.dumps({"command": COMMAND, "runs": results}, indent=1) + "\n")
+    results.sort(key=lambda run: wanted.index((run["case"], run["engine"], run["cells"], run["seed"])))
+    if whole:
+        write(results)
+    else:
+        print(markdown(rows_of(results)))
+
+
+def write(results: list[Result]) -> None:
+    """Write the runs, the table and the pictures."""
     rows = rows_of(results)
     print(markdown(rows))
-    if args.quick or args.cases:
-        return
     RESULTS.mkdir(exist_ok=True)
-    data = {"command": "python benchmarks/physics.py", "rows": rows, "runs": results}
+    data = {"command": COMMAND, "rows": rows, "runs": results}
     (RESULTS / "physics.json").write_text(json.dumps(data, indent=1) + "\n")
     (RESULTS / "physics.md").write_text(markdown(rows))
-    draw(rows, RESULTS / "physics.png")
-    draw_plates(RESULTS / "physics_pieces.png")
+    draw_ratios(rows, RESULTS / "physics.png")
+    scenes = [(plate(False), factor, f"plate, {factor:g} x critical") for factor in LOADS[:3]]
+    draw_pieces([*scenes, (disc, BEYOND, "disc"), (ring, BEYOND, "ring")], RESULTS / "physics_pieces.png")
 
 
 if __name__ == "__main__":
