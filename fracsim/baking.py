@@ -157,7 +157,7 @@ def bake(
     seed: int = 0,
     options: BakeOptions | None = None,
     progress: bool = False,
-    simulator: Callable[[Surface], FractureSimulator] | None = None,
+    simulator: str | Callable[[Surface], FractureSimulator] | None = None,
 ) -> BreakableAsset:
     """Make a breakable asset of a watertight surface of one component.
 
@@ -174,8 +174,9 @@ def bake(
         How to bake.
     progress : bool
         Whether to show a bar for each stage, on standard error.
-    simulator : callable, optional
-        Makes a simulator of your own for the surface; without it ``options.simulator`` names one.
+    simulator : str or callable, optional
+        A registered simulator instead of the one that ``options.simulator`` names; or what makes one of your own for
+        the surface.
 
     Returns
     -------
@@ -190,6 +191,8 @@ def bake(
         If a stage fails.
     """
     options = options or BakeOptions()
+    if isinstance(simulator, str):
+        options, simulator = replace(options, simulator=simulator), None
     chosen_material = as_material(material)
     with threadpool_limits(1), Stages(progress) as stage:  # sums in one order, whatever the machine
         stage("validate")

@@ -88,6 +88,18 @@ def test_splits_are_disjoint_and_of_the_stated_shares(samples):
     assert np.bincount(drawn.split).tolist() == [3060, 340, 600]
 
 
+def test_a_simulator_may_be_named_beside_the_options(slab_mesh, quick, monkeypatch):
+    monkeypatch.setattr("fracsim.data.samples.BLOCK", 100)  # samples, so that no more than needed are drawn
+    few = dataclasses.replace(quick, samples=500, cells=50, model=dataclasses.replace(quick.model, response=True))
+    asset = fracsim.bake(slab_mesh, simulator="structural", options=few)
+    named = {asset.baked_from.simulator, asset.metadata["simulator"], asset.metadata["options"]["simulator"]}
+    assert named == {"structural"}
+    assert asset.metadata["simulator_options"]["cells"] == 50
+    assert asset.severity_kind == "force"
+    assert (asset.arrays.compliance > 0).all()
+    json.dumps(asset.metadata)
+
+
 # Refusals
 
 

@@ -136,6 +136,8 @@ def test_a_bake_asks_the_simulator_for_what_it_was_not_told(mesh, tmp_path, monk
     code = main(["bake", str(mesh), "--out", str(out), "--simulator", "brittle", "--material", "ice", *sizes])
     assert code == 0, capsys.readouterr().err
     assert "ari_other_tiling" in capsys.readouterr().out
+    with pytest.raises(fracsim.BakeError, match="unknown simulator 'guess'"):
+        fracsim.bake(mesh, simulator="guess")
     asset = fracsim.load(out)
     record, metadata = asset.baked_from, asset.metadata
     assert (record.simulator, record.severity_kind) == ("brittle", "force")
