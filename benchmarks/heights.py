@@ -1,4 +1,4 @@
-"""From what height do everyday things break? ``python benchmarks/heights.py [--quick] [--workers N] [--redraw]``.
+"""From what height do everyday things break? ``python benchmarks/heights.py [--quick] [--resume] [--redraw]``.
 
 Things of real size and of every preset fall in random orientations; the lowest point strikes the floor, the mass that
 it moves brings the energy of the fall, and the contact law says how hard floor and body press on each other. Nothing is
@@ -347,12 +347,31 @@ def draw(cases: list[Record], path: Path) -> None:
     plt.close(figure)
 
 
+def measure(share: float, workers: int, resume: bool) -> dict[str, list[Record]]:
+    """Let everything fall, ``share`` of the falls; what is measured is kept at once, so that it can be resumed."""
+    path = RESULTS / "heights.json"
+    counts = {name: max(int(share * count), 2) for name, count in FALLS.items()}
+    work = [(name, body, preset, counts[name], CELLS) for name in FALLS for body in SIZES for preset in PRESETS]
+    known = json.loads(path.read_text(encoding="utf-8"))["cases"] if resume and path.exists() else []
+    cases = {(r["simulator"], r["body"], r["material"], r["falls"], CELLS): r for r in known}
+    missing = [each for each in work if each not in cases]
+    found = Parallel(workers, return_as="generator")(delayed(case)(*each) for each in missing)
+    for each, record in zip(missing, found, strict=True):
+        cases[each] = record
+        print(*each, f"{record['seconds']:.0f} s", flush=True)
+        path.write_text(json.dumps({"cases": [cases[key] for key in work if key in cases]}), encoding="utf-8")
+    pairs = [("mug", "ceramic"), ("vase", "glass"), ("bunny", "stone")]
+    sizes = Parallel(workers)(delayed(first_crack_by_size)(*pair, 100, CELLS) for pair in pairs)
+    return {"cases": [cases[key] for key in work], "sizes": list(sizes)}
+
+
 def main() -> None:
     """Run everything, or redraw what was measured."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="three falls of a coarse mug; nothing is written")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--share", type=float, default=1.0, help="of the falls, for a look that takes less time")
+    parser.add_argument("--resume", action="store_true", help="go on where a run was stopped")
     parser.add_argument("--redraw", action="store_true", help="write table and picture from the numbers that are there")
     arguments = parser.parse_args()
     if arguments.redraw:
@@ -362,13 +381,7 @@ def main() -> None:
         print(table(cases, []))
         return
     else:
-        work = [
-            (name, body, preset, count, CELLS) for name, count in FALLS.items() for body in SIZES for preset in PRESETS
-        ]
-        cases = Parallel(arguments.workers, verbose=5)(delayed(case)(*each) for each in work)
-        pairs = [("mug", "ceramic"), ("vase", "glass"), ("bunny", "stone")]
-        sizes = Parallel(arguments.workers)(delayed(first_crack_by_size)(*pair, 100, CELLS) for pair in pairs)
-        results = {"cases": cases, "sizes": sizes}
+        results = measure(arguments.share, arguments.workers, arguments.resume)
     found = checks(results["cases"], results["sizes"])
     results["checks"] = [asdict(check) for check in found]
     (RESULTS / "heights.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
