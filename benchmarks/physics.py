@@ -461,7 +461,7 @@ def main() -> None:
     parser.add_argument("cases", nargs="*", help="all by default")
     parser.add_argument("--quick", action="store_true", help="one tiling of 150 cells; nothing is written")
     parser.add_argument("--table", action="store_true", help="write table and pictures again from the runs in the JSON")
-    parser.add_argument("--resume", action="store_true", help="do only what the JSON does not hold yet")
+    parser.add_argument("--resume", action="store_true", help="go on where a run was stopped")
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
     if args.table:
@@ -470,8 +470,8 @@ def main() -> None:
     if unknown := set(args.cases) - set(CASES):
         parser.error(f"no such case: {', '.join(sorted(unknown))}; there are {', '.join(CASES)}")
     counts, tilings = ((150,), 1) if args.quick else (CELLS, TILINGS)
-    path, whole = RESULTS / "physics.json", not (args.quick or args.cases)
-    results = json.loads(path.read_text())["runs"] if args.resume else []
+    part, whole = RESULTS / "physics.part.json", not (args.quick or args.cases)
+    results = json.loads(part.read_text()) if args.resume and part.exists() else []
     done = {(run["case"], run["engine"], run["cells"], run["seed"]) for run in results}
     wanted = [
         (name, engine, cells, seed)
@@ -492,10 +492,11 @@ def main() -> None:
             flush=True,
         )
         if whole:
-            path.write_text(json.dumps({"command": COMMAND, "runs": results}, indent=1) + "\n")
+            part.write_text(json.dumps(results))
     results.sort(key=lambda run: wanted.index((run["case"], run["engine"], run["cells"], run["seed"])))
     if whole:
         write(results)
+        part.unlink()
     else:
         print(markdown(rows_of(results)))
 
