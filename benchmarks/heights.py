@@ -42,7 +42,8 @@ FALLS = {"structural": 100, "sequential": 25}
 SMALLEST = 0.01  # of the body: what counts as a piece
 BROKEN = 0.9  # of the body: what the largest piece has less of once it is broken
 MULTIPLES = (1.0, 2.0, 4.0)  # of the median height of breaking, at which pieces are counted
-PRECISION = 1.15  # of a severity, as a factor; heights go with about its square
+PRECISION = 1.3  # of a severity, as a factor; heights go with about its square
+GROWTH = 2.5  # of a severity, until it does it
 FARTHEST = 60.0  # times the severity of the first crack: what still holds then does not break
 TILT = 5.0  # degrees: how far from upright things are set down
 SET_DOWN = 20  # of these
@@ -167,7 +168,7 @@ def critical(simulator: Simulator, impact: Impacts, first: float) -> tuple[float
     for test in (chipped, broken):
         high = low
         while not test(at(high)) and high < FARTHEST * first:
-            low, high = high, 1.8 * high
+            low, high = high, GROWTH * high
         if not test(at(high)):
             result.append(np.inf)
             continue
@@ -219,7 +220,8 @@ def case(name: str, body: str, preset: str, count: int, cells: int) -> Record:
         pieces.append(float(np.mean([(shares(simulator, row) >= SMALLEST).sum() for row in labels])))
     set_down = falls(simulator, upright(SET_DOWN))
     low = set_down.impacts.times(floors["stone"].severities(LOW, set_down))
-    fell_apart = int(simulator.fracture(low).labels.any(axis=1).sum())
+    cracked = np.flatnonzero(simulator.first_crack(low) < 1.0)
+    fell_apart = sum(bool(simulator.fracture(one(low, row)).labels.any()) for row in cracked.tolist())
     return {
         "simulator": name, "body": body, "material": preset, "size": size, "falls": count, "heights": heights,
         "pieces": pieces, "set_down_broken": fell_apart, "speed_number": simulator.lattice.speed_number,
