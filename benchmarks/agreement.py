@@ -161,10 +161,10 @@ def write(rows: list[dict[str, Any]], command: str) -> None:
         f"Self-agreement is ARI by volume between the answers to an impact and to the same impact moved by 1 % and by "
         f"3 % of the size, over impacts of 1 to 5 times the force of a first crack that break the body (in brackets: "
         f"over impacts as datasets draw them, half of which do nothing); of the nearest of the other impacts at "
-        f"{HARD:g} times the force that breaks it. Tilings: Pearson's correlation of the largest pieces' shares between "
-        f"two divisions into cells. Sequential: the same between a simulator and the mean of {COPIES} moved copies of "
-        f"the sequential one (in brackets: those among themselves). Pieces: of at least 1 %, at 1, 2 and 4 times the "
-        f"force that breaks the body. {MATERIAL}, {IMPACTS} impacts each. `{command}`",
+        f"{HARD:g} times the force that breaks it. Tilings: Pearson's correlation of the largest pieces' shares "
+        f"between two divisions into cells. Sequential: the same between a simulator and the mean of {COPIES} moved "
+        f"copies of the sequential one (in brackets: those among themselves). Pieces: of at least 1 %, at 1, 2 and 4 "
+        f"times the force that breaks the body. {MATERIAL}, {IMPACTS} impacts each. `{command}`",
         "",
         "| body | moved 1 % | moved 3 % | nearest impact | tilings | sequential | pieces at 1, 2, 4x | ms an impact "
         "| modal: moved 1 % | moved 3 % | sequential | sequential, ms an impact |",
