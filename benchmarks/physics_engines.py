@@ -12,12 +12,12 @@ from fracsim.common.arrays import BoolArray, FloatArray, IntArray
 from fracsim.fracture.rule import components
 from fracsim.simulators.base import interfaces_between, merge_small_pieces_each
 from fracsim.simulators.lattice import Stiffness
-from fracsim.simulators.merging import merge_bound
+from fracsim.simulators.piece_reading import PieceReading
 from fracsim.simulators.sequential_cracks import CrackPath, IntactBody, crack_ramp
 from fracsim.simulators.sequential_impact import Breaks, Contacts, Impact, Setting
 from fracsim.simulators.softening import LEAST_LEFT, Softening
-from fracsim.simulators.structural import HELD, StructuralOptions, group_cells
-from fracsim.solids.solid import relabel, sum_by_index
+from fracsim.simulators.structural import StructuralOptions, group_cells
+from fracsim.solids.solid import relabel
 
 SMALLEST = 0.01  # of the body: what counts as a piece
 PRECISION = 0.01  # of a critical factor
@@ -64,7 +64,8 @@ class StructuralEngine:
         self.specimen = specimen
         self.atom = group_cells(solid, faces.pairs, faces.areas, atoms, floor, np.random.default_rng(seed))
         self.cells = relabel(solid, self.atom)
-        self.interfaces = interfaces_between(self.cells)
+        volumes = self.cells.volumes
+        self.reading = PieceReading(faces, solid.volumes, self.atom, volumes, interfaces_between(self.cells), SMALLEST)
         self.softening = Softening(specimen.lattice, options.brittleness, options.strain, options.hertz)
         self.start = None
         if specimen.cracked.any():
@@ -98,17 +99,10 @@ class StructuralEngine:
 
     def labels(self, factor: float) -> IntArray:
         """Join atoms over what is left between them."""
-        specimen, faces = self.specimen, self.specimen.lattice.faces
+        specimen = self.specimen
         load = np.array([factor])
         left = self.softening.run(factor * specimen.forces, load, self.start, not specimen.direction.any())
-        pairs, count = self.interfaces.pairs, len(self.cells.volumes)
-        ends = np.sort(self.atom[faces.pairs], axis=1)
-        between = ends[:, 0] != ends[:, 1]
-        interface = np.searchsorted(pairs[:, 0] * count + pairs[:, 1], ends[between] @ [count, 1])
-        areas = sum_by_index(interface, faces.areas[between], len(pairs))
-        bonds = sum_by_index(interface, faces.areas[between] * left[between], len(pairs)) / areas
-        floor = SMALLEST * float(self.cells.volumes.sum())
-        return merge_bound(self.cells.volumes, pairs, areas, bonds, HELD, floor)[self.atom]
+        return self.reading.pieces(self.reading.left_of_interfaces(left))[self.atom]
 
 
 class SequentialEngine:

@@ -95,7 +95,18 @@ class Impulse:
         Impulse
             Its `peak_force` is the force. As an impulse, which simulators count in that know no forces, it is what
             the force gives in `LOAD_DURATION`.
+
+        Raises
+        ------
+        ImpulseError
+            If the force is not finite or negative.
+
+        Notes
+        -----
+        A simulator takes it as an impact of that peak force: what it presses on gives way, and the force falls.
         """
+        if not is_number(force) or force < 0.0:
+            raise ImpulseError(f"a force must be finite and at least 0 N, got {force!r}")
         return cls(np.asarray(point), np.asarray(direction), force * LOAD_DURATION, HALF_SINE * LOAD_DURATION)
 
     @property

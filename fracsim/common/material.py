@@ -123,7 +123,8 @@ class ContactMaterial:
     poisson_ratio : float
         ν, at least 0 and below 0.5.
     travel : float or None
-        m, by which it can be indented before it is pressed together against a hard base; None: by any length.
+        m, by which it can be indented before it is pressed together against a hard base. With it, it is a layer, into
+        which a body sinks with a radius of half its size; None: a body that is touched at a point, however deep.
 
     Raises
     ------
@@ -148,8 +149,9 @@ class ContactMaterial:
 
 
 # Small objects as one meets them, not the best or worst of their kind; docs/simulators.md gives the source of every
-# number. Sound speeds follow from E and ν, c² = E (1 - ν) / (ρ (1 + ν) (1 - 2ν)), fracture energies from the fracture
-# toughness where no measured one is cited. name, ρ, σ_t, σ_c, c, G; then E, ν and Weibull's modulus.
+# number. Sound speeds follow from E and ν, c² = E (1 - ν) / (ρ (1 + ν) (1 - 2ν)), but for stone, whose is measured;
+# fracture energies from the fracture toughness where no measured one is cited. name, ρ, σ_t, σ_c, c, G; then E, ν and
+# Weibull's modulus.
 _SOLIDS = (
     (("glass", 2480.0, 50e6, 1000e6, 5900.0, 7.8), 74e9, 0.23, 7.0),
     (("ceramic", 2400.0, 45e6, 350e6, 5700.0, 14.0), 70e9, 0.2, 10.0),

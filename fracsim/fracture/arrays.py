@@ -221,7 +221,8 @@ class SimulatorRecord:
     min_severity : float
         The least total severity that broke one of the samples, halved to be safe.
     typical_severity : float
-        The median severity at which a single impact first breaks the body.
+        The median severity at which a single impact first breaks the body, or opens a first crack where the simulator
+        knows that sooner.
     driven_by_impact_field : bool
         Whether the simulator breaks what the breaking rule breaks under the impact field that the asset carries. Then
         the asset can answer as the simulator does; any other is known by its samples alone.

@@ -220,6 +220,12 @@ class BreakableAsset:
         ------
         MaterialError
             If there is no such preset.
+
+        Notes
+        -----
+        Strength, stiffness and density change. What the model has learned does not: an asset baked from a simulator
+        that depends on the material, such as ``structural``, goes on breaking into the pieces of the material that it
+        was baked of. Bake it again for those of another one.
         """
         return replace(self, material=as_material(material))
 

@@ -88,7 +88,9 @@ class BreakablePiece:
     @property
     def bearable_impulse(self) -> float:
         """N·s; impulses that sum to less break nothing, wherever they act."""
-        return self.asset.bearable_impulse
+        query = self.asset.query
+        bound = float(query.weakest[1].min())
+        return query.severity.bearable_impulse(bound, self.asset.vertices, self.mass_properties)
 
     @property
     def severity_kind(self) -> str:

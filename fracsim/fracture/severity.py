@@ -14,6 +14,7 @@ import numpy as np
 
 from ..common.arrays import FloatArray, IntArray
 from ..common.contact import HALF_SINE, LOAD_DURATION, ContactLaw, effective_mass, pulse_force
+from ..common.errors import ImpulseError
 from ..common.impulse import Impulse
 from ..common.material import Material
 from .arrays import AssetArrays, SimulatorRecord
@@ -134,6 +135,11 @@ class SeverityScale:
         ndarray of float64, shape (K,)
             Severities.
 
+        Raises
+        ------
+        ImpulseError
+            If a force is not finite.
+
         Notes
         -----
         Where severities count impulses, one that lasts long counts as what its peak force gives in `LOAD_DURATION`, and
@@ -152,7 +158,10 @@ class SeverityScale:
             mass = effective_mass(body.mass, body.inertia, points - body.center, directions)
             law = replace(self.contact, compliance=self.compliance_at(corners, barycentric))
             forces = np.where(known, forces, law.peak_force(sizes**2 / (2.0 * mass)))
-        return np.asarray(forces / self.unit)
+        severities = np.asarray(forces / self.unit)
+        if not np.isfinite(severities).all():
+            raise ImpulseError("impulses are too large for their forces to be finite; check their magnitudes, in N·s")
+        return severities
 
     def magnitudes(
         self,

@@ -11,7 +11,7 @@ from ..common.arrays import AnyFloatArray, FloatArray, IntArray
 from .frames import tangent_basis
 
 CONE = np.deg2rad(60.0)  # half angle about the inward normal that directions are drawn from
-SEVERITY = (0.3, 5.0)  # log-uniform range, as multiples of the severity at which the impact first breaks the body
+SEVERITY = (0.3, 5.0)  # log-uniform range, times what breaks the body, or opens a first crack
 
 
 class SurfacePoints:

@@ -34,7 +34,8 @@ class ContactMaterials:
         link : int, optional
             Its link, -1 the base; None: all of it that is not named apart.
         material : str, Material, ContactMaterial, optional
-            As of `as_contact_material`; None: hard again. Together with no link, this forgets all links.
+            As of `as_contact_material`; None: hard again; with a link, what the rest of the body is of.
+            Together with no link, this forgets all links.
 
         Raises
         ------

@@ -364,7 +364,7 @@ class World:
             Its id: a floor, a table, a robot. Breakable bodies and their pieces are of their asset's material.
         material : str, Material or ContactMaterial, optional
             "steel", "stone", "wood", "rubber", "foam", "skin" (a robot's finger pads), "carpet"; another preset's name,
-            or a material of your own. None: hard again.
+            or a material of your own. None: hard again; with a link, what the rest of the body is of.
         link : int, optional
             Of a robot, which link; -1 is the base. None: all of it that is not named apart.
 

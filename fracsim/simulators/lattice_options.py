@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,6 +52,8 @@ class LatticeOptions(SimulatorOptions):
     ----------
     cells : int
         About how many cells the body is divided into.
+    modes : int
+        Not used: there are no modes.
     brittleness : float
         E G_c / (strength² L), the material's own length over the body's; above 0. A small one breaks like glass.
     strain : float
@@ -70,7 +72,7 @@ class LatticeOptions(SimulatorOptions):
     """
 
     cells: int = 300
-    modes: int = field(default=0)
+    modes: int = 0
     min_piece_volume_fraction: float = 0.01
     brittleness: float = DEFAULTS["brittleness"]
     strain: float = DEFAULTS["strain"]

@@ -115,7 +115,7 @@ class Softening:
         """
         lattice, total = self.lattice, float(severities.sum())
         if total == 0.0:
-            return lattice.whole.left
+            return (start or lattice.whole).left
         unit = forces / total
         # Contacts that share the force give way less: each takes 2/5 F^(5/3) k^(-2/3) of its own part of it.
         hertz = self.hertz * float(((severities / total) ** (5.0 / 3.0)).sum()) ** -1.5

@@ -32,11 +32,10 @@ from .lattice import Lattice
 from .lattice_build import lattice_of
 from .lattice_faces import cell_faces
 from .lattice_options import LatticeOptions, material_options
-from .merging import merge_bound
-from .softening import GONE, Softening
+from .piece_reading import PieceReading
+from .softening import Softening
 
 FINE = "fine_cells/"  # what the cells' arrays are called in a state
-HELD = 0.2  # mean share of its stiffness that a boundary between pieces has left, at most
 LLOYD_STEPS = 60
 BISECTIONS = 6  # of the interval between 1 and 1.5 times some factor, for a threshold
 GROWTH = 1.5  # of the factor, while the body holds
@@ -184,15 +183,11 @@ class StructuralSimulator:
         return lattice.compliances(cells, vertices, -normals)
 
     @cached_property
-    def _interface_of_face(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """Faces of the lattice between two atoms: which they are, the interface that each is part of, its share."""
-        faces, pairs, count = self.lattice.faces, self.interfaces.pairs, len(self.cells.volumes)
-        ends = np.sort(self.fine_to_cell[faces.pairs], axis=1)
-        between = np.flatnonzero(ends[:, 0] != ends[:, 1])
-        keys = pairs[:, 0] * count + pairs[:, 1]
-        interface = np.searchsorted(keys, ends[between, 0] * count + ends[between, 1])
-        area = sum_by_index(interface, faces.areas[between], len(pairs))
-        return between, interface, faces.areas[between] / area[interface]
+    def reading(self) -> PieceReading:
+        """How pieces are read off what is left of the lattice."""
+        volumes, smallest = self.fine_cells.volumes, self.min_piece_volume_fraction
+        atoms = self.cells.volumes
+        return PieceReading(self.lattice.faces, volumes, self.fine_to_cell, atoms, self.interfaces, smallest)
 
     def stiffness_left(self, impacts: Impacts) -> FloatArray:
         """Soften the body by each impact.
@@ -210,23 +205,7 @@ class StructuralSimulator:
         """
         result = np.empty((len(impacts), len(self.interfaces)))
         for row, (forces, severities) in enumerate(zip(self._forces(impacts), impacts.severities, strict=True)):
-            result[row] = self._left_of_interfaces(self.softening.run(forces, severities))
-        return result
-
-    def _left_of_interfaces(self, left: FloatArray) -> FloatArray:
-        """Work out what is left of the interfaces (I,) from what is left of the lattice's faces."""
-        between, interface, share = self._interface_of_face
-        result = sum_by_index(interface, share * left[between], len(self.interfaces))
-        holds = self.lattice.faces.pairs[left > GONE]
-        count = len(self.fine_to_cell)
-        graph = coo_matrix((np.ones(len(holds)), tuple(holds.T)), shape=(count, count))
-        parts, part = connected_components(graph, directed=False)
-        if parts > 1:
-            # A crack may run through an atom, which then goes with the part that has most of it.
-            shares = np.zeros((len(self.cells.volumes), parts))
-            np.add.at(shares, (self.fine_to_cell, part), self.fine_cells.volumes)
-            gone_with = np.argmax(shares, axis=1)[self.interfaces.pairs]
-            result[gone_with[:, 0] != gone_with[:, 1]] = 0.0
+            result[row] = self.reading.left_of_interfaces(self.softening.run(forces, severities))
         return result
 
     def thresholds(self, impacts: Impacts) -> FloatArray:
@@ -253,7 +232,7 @@ class StructuralSimulator:
 
             def breaks(factor: float, forces: FloatArray = forces, severities: FloatArray = severities) -> bool:
                 left = self.softening.run(factor * forces, factor * severities)
-                return bool(self._pieces(self._left_of_interfaces(left)).any())
+                return bool(self.reading.pieces(self.reading.left_of_interfaces(left)).any())
 
             low = high = float(first[row])
             while not (broken := breaks(high)) and high < LARGEST_FACTOR * first[row]:
@@ -299,7 +278,7 @@ class StructuralSimulator:
             The piece of each atom, and the interfaces between pieces.
         """
         left = self.stiffness_left(impacts)
-        labels = np.array([self._pieces(row) for row in left]).reshape(len(impacts), len(self.cells.volumes))
+        labels = np.array([self.reading.pieces(row) for row in left]).reshape(len(impacts), len(self.cells.volumes))
         broken = np.array([separated(row, self.interfaces.pairs) for row in labels], dtype=bool)
         return Response(labels, broken.reshape(left.shape))
 
@@ -307,14 +286,6 @@ class StructuralSimulator:
         """Spread the contacts' forces (N, 6 cells)."""
         corner = self.surface.vertices[self.surface.faces[impacts.faces]]
         return self.lattice.forces(impacts, np.einsum("nkc,nkci->nki", impacts.barycentric, corner))
-
-    def _pieces(self, left: FloatArray) -> IntArray:
-        """Find the piece of each atom (A,) from what is left of the interfaces (I,)."""
-        volumes, interfaces = self.cells.volumes, self.interfaces
-        if left.min() >= HELD:
-            return np.zeros(len(volumes), dtype=np.int64)
-        floor = self.min_piece_volume_fraction * float(volumes.sum())
-        return merge_bound(volumes, interfaces.pairs, interfaces.areas, left, HELD, floor)
 
     def state(self) -> State:
         """Collect what a dataset keeps of the simulator beside its surface, cells and interfaces.
