@@ -20,7 +20,7 @@ from fracsim.cli.main import build_parser
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-BLOCK = re.compile(r"^(?P<note><!--.*?-->\n)?```(?P<kind>\w*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE)
+BLOCK = re.compile(r"^(?P<note><!--[^\n]*?-->\n)?```(?P<kind>\w*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE)
 NOT_RUN = "<!-- not run:"  # before a block that takes long or needs what is not there; a reason follows
 
 
