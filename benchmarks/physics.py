@@ -442,8 +442,8 @@ def markdown(rows: list[dict[str, Any]]) -> str:
     heads = [f"{engine}, {count}" for engine in ENGINES for count in counts]
     lines = [
         f"Textbook cases, {TILINGS} tilings each: mean (least–greatest). A case holds where the means at 300 and at "
-        "600 cells are as expected; `structural` is allowed 10 % more of a load or a stress, and 5° more off a diameter. "
-        "`python benchmarks/physics.py`",
+        "600 cells are as expected; `structural` is allowed 10 % more of a load or a stress, and 5° more off a "
+        "diameter. `python benchmarks/physics.py`",
         "",
         "| case | measured | expected | " + " | ".join(heads) + " | holds | source |",
         "|---" * (len(heads) + 5) + "|",
