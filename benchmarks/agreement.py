@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
+from things import thing
 
 from fracsim.common.arrays import FloatArray, IntArray
 from fracsim.common.material import PRESETS
@@ -31,7 +32,6 @@ from fracsim.simulators.registry import make_simulator, options_for_body
 from fracsim.solids.surface import Surface, read_surface, refine
 
 RESULTS = Path(__file__).parent / "results"
-MESHES = Path(__file__).parent.parent / "meshes"
 SIZES = {"mug": 0.1, "plate": 0.27, "vase": 0.3, "bunny": 0.3}  # m
 MATERIAL = "ceramic"
 IMPACTS = 100
@@ -51,11 +51,7 @@ TARGETS = {
 
 def read(mesh: str, size: float) -> Surface:
     """Read a mesh at its real size."""
-    import trimesh
-
-    body = trimesh.load_mesh(MESHES / f"{mesh}.obj", process=False)
-    body.apply_scale(size / float(np.ptp(body.vertices, axis=0).max()))
-    return refine(read_surface(body))
+    return refine(read_surface(thing(mesh, size)))
 
 
 def build(name: str, surface: Surface, seed: int = 0) -> FractureSimulator:

@@ -13,6 +13,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 import trimesh
+from things import thing
 
 import fracsim
 from fracsim.common.arrays import FloatArray
@@ -23,7 +24,6 @@ from matplotlib.colors import LightSource, to_rgb
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 RESULTS = Path(__file__).parent / "results"
-MESHES = Path(__file__).parent.parent / "meshes"
 # m, where it is struck (of the bounding box, 0 to 1) and the way it is seen from (elevation and azimuth, degrees)
 BODIES = {
     "mug": (0.1, (0.5, 0.0, 0.6), (25, -60)),
@@ -76,8 +76,7 @@ def draw(axes: Any, fracture: Any, impulse: fracsim.Impulse, view: tuple[float, 
 def main() -> None:
     figure = pyplot.figure(figsize=(2.4 * len(BODIES), 5.2))
     for column, (name, (size, place, view)) in enumerate(BODIES.items()):
-        mesh = trimesh.load_mesh(MESHES / f"{name}.obj", process=False)
-        mesh.apply_scale(size / float(np.ptp(mesh.vertices, axis=0).max()))
+        mesh = thing(name, size)
         impulse = None
         for row, kind in enumerate(("structural", "sequential")):
             simulator = fracsim.Simulator(mesh, kind, material="ceramic", seed=0)

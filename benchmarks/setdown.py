@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pybullet
 import trimesh
-from pybullet_utils.bullet_client import BulletClient
+from things import MESHES, TIME_STEP, world_on
 
 import fracsim
 from fracsim.baking import BakeOptions
@@ -31,13 +30,11 @@ from fracsim.learning.options import TrainingOptions
 from fracsim.physics.impact_solver import IMPACT_WINDOW
 
 RESULTS = Path(__file__).parent / "results"
-MESHES = Path(__file__).parent.parent / "meshes"
 BODIES = ("bunny", "chair", "vase", "mug", "plate")
 SIZES = (0.1, 0.3)  # m
 MATERIALS = ("stone", "ceramic", "glass", "plaster")
 FLOOR = "stone"
 HEIGHT = 0.005  # m
-TIME_STEP = 1 / 240  # s
 DURATION = 0.5  # s, by which everything stands or lies
 UNBREAKABLE = 1e4  # times as strong
 
@@ -54,13 +51,7 @@ def asset_of(name: str) -> BreakableAsset:
 
 def contacts(asset: BreakableAsset) -> list[tuple[float, fracsim.Impulse]]:
     """Let an asset go above the floor: the time of each predicted contact, s, and its impulse in the asset's frame."""
-    client = BulletClient(pybullet.DIRECT)
-    client.setGravity(0, 0, -9.81)
-    client.setTimeStep(TIME_STEP)
-    box = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(2, 2, 0.5))
-    floor = client.createMultiBody(0, box, -1, (0, 0, -0.5))
-    world = fracsim.World(client)
-    world.set_material(floor, FLOOR)
+    client, world = world_on(FLOOR)
     lowest = asset.vertices[:, 2].min()
     world.add(asset, (0, 0, HEIGHT - lowest), (0, 0, 0, 1))
     now, seen = [0.0], []

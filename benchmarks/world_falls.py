@@ -13,10 +13,8 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-import pybullet
-import trimesh
-from pybullet_utils.bullet_client import BulletClient
 from scipy.spatial.transform import Rotation
+from things import TIME_STEP, thing, world_on
 
 import fracsim
 from fracsim.baking import BakeOptions
@@ -25,24 +23,16 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 RESULTS = Path(__file__).parent / "results"
-MESH = Path(__file__).parent.parent / "meshes" / "mug.obj"
 SIZE = 0.114  # m
 FLOORS = ("stone", "wood", "carpet", "rubber")
 HEIGHTS = (0.005, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)  # m
 FALLS = 40
-TIME_STEP = 1 / 240  # s
 AFTERWARDS = 0.25  # s, from when it should have landed
 
 
 def breaks(asset: fracsim.BreakableAsset, floor: str, height: float, turn: Rotation) -> bool:
     """Let an asset fall once."""
-    client = BulletClient(pybullet.DIRECT)
-    client.setGravity(0, 0, -9.81)
-    client.setTimeStep(TIME_STEP)
-    box = client.createCollisionShape(pybullet.GEOM_BOX, halfExtents=(2, 2, 0.5))
-    ground = client.createMultiBody(0, box, -1, (0, 0, -0.5))
-    world = fracsim.World(client)
-    world.set_material(ground, floor)
+    client, world = world_on(floor)
     lowest = float(turn.apply(asset.vertices)[:, 2].min())
     world.add(asset, (0, 0, height - lowest), tuple(turn.as_quat()))
     steps = round((np.sqrt(2 * height / 9.81) + AFTERWARDS) / TIME_STEP)
@@ -52,9 +42,7 @@ def breaks(asset: fracsim.BreakableAsset, floor: str, height: float, turn: Rotat
 
 
 def main() -> None:
-    mesh = trimesh.load_mesh(MESH, process=False)
-    mesh.apply_scale(SIZE / float(np.ptp(mesh.vertices, axis=0).max()))
-    asset = fracsim.bake(mesh, material="ceramic", options=BakeOptions(simulator="structural", workers=2))
+    asset = fracsim.bake(thing("mug", SIZE), material="ceramic", options=BakeOptions(simulator="structural", workers=2))
     turns = [Rotation.random(random_state=k) for k in range(FALLS)]
     shares = {
         floor: [float(np.mean([breaks(asset, floor, height, turn) for turn in turns])) for height in HEIGHTS]

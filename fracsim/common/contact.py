@@ -72,6 +72,24 @@ def hertz_stiffness(modulus: float, size: float, radius: float = CONTACT_RADIUS)
     return float(4.0 / 3.0 * modulus * np.sqrt(radius * size))
 
 
+def shared_stiffness(stiffness: float, shares: FloatArray) -> float:
+    """Compute the stiffness of several equal contacts that share one force in fixed parts, as if they were one.
+
+    Parameters
+    ----------
+    stiffness : float
+        k of each, N/m^(3/2).
+    shares : ndarray of float64, shape (n,)
+        Of the force; they sum to 1.
+
+    Returns
+    -------
+    float
+        N/m^(3/2), at least k: each contact takes 2/5 F^(5/3) k^(-2/3) of its own part of the force, together less.
+    """
+    return stiffness * float((shares ** (5.0 / 3.0)).sum()) ** -1.5
+
+
 def _hertz_factor(stiffness: float) -> float:
     """Compute a of the Hertz work a F^(5/3), which is ∫ F dδ up to the force F."""
     return 0.4 * stiffness ** (-2.0 / 3.0)

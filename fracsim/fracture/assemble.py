@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from ..common.arrays import FloatArray, IntArray
+from ..geometry.complex import mass_of_moments
 from .arrays import AssetArrays
 from .pieces import LatePieceShape, Piece
 
@@ -42,11 +41,7 @@ def mass_properties(
         kg·m² about the centre of mass.
     """
     zeroth, first, second = (moment[atoms].sum(axis=0) for moment in arrays.moments)
-    center = first / zeroth
-    spread = second - zeroth * np.outer(center, center)
-    volume = float(zeroth) * scale**3
-    inertia = (np.trace(spread) * np.eye(3) - spread) * (density * scale**5)
-    return volume, volume * density, center * scale + offset, inertia
+    return mass_of_moments(float(zeroth), first, second, density, scale, offset)
 
 
 def assemble_pieces(

@@ -16,7 +16,7 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..common.errors import FieldError, FracsimError
 from ..common.impulse import Impulse
 from ..common.material import Material
-from ..geometry.locate import closest_on_triangles
+from ..geometry.locate import closest_on_surface
 from .arrays import AssetArrays, Domain, SimulatorRecord
 from .assemble import assemble_pieces, mass_properties
 from .predictor import FieldWeights, field_from_scores, minimax_scores
@@ -26,7 +26,6 @@ from .severity import MassProperties, SeverityScale
 
 PREDICTORS = ("field", "interfaces", "simulator")
 ALIASES = {"modes": "simulator"}  # what it was called before
-NEAREST_FACES = 16  # by their middles, of which the nearest face by distance is one on any mesh of ordinary triangles
 
 # Surface points near given ones (K, 3) m, as vertices (K, 3) and barycentric coordinates (K, 3)
 Locator = Callable[[FloatArray], tuple[IntArray, FloatArray]]
@@ -120,7 +119,9 @@ class FractureQuery:
     @cached_property
     def severity(self) -> SeverityScale:
         """What turns impulses into severities."""
-        return SeverityScale.of(self.baked_from, self.arrays, self.material, self.scale, self.mass)
+        known, record = self.arrays.compliance, self.baked_from
+        shape = np.zeros(len(self.arrays.impact_field)) if known is None else known
+        return SeverityScale.of(record.severity_kind, record.gauge, shape, self.material, self.scale, self.mass)
 
     @cached_property
     def weakest(self) -> tuple[FloatArray, FloatArray]:
@@ -149,12 +150,8 @@ class FractureQuery:
         """
         arrays = self.arrays
         local = (points - self.offset) / self.scale
-        _, nearest = arrays.face_tree.query(local, k=min(NEAREST_FACES, len(arrays.faces)))
-        corner = arrays.points[arrays.faces[nearest]]  # (K, 16, 3, 3)
-        barycentric, square = closest_on_triangles(local[:, None], corner)
-        best = np.argmin(square, axis=1)
-        row = np.arange(len(points))
-        return arrays.faces[nearest[row, best]], barycentric[row, best]
+        face, barycentric = closest_on_surface(local, arrays.points, arrays.faces, arrays.face_tree)
+        return arrays.faces[face], barycentric
 
     def on_surface(
         self, impulses: Sequence[Impulse], locate: Locator | None = None, body: MassProperties | None = None

@@ -17,7 +17,6 @@ from ..common.contact import HALF_SINE, LOAD_DURATION, ContactLaw, effective_mas
 from ..common.errors import ImpulseError
 from ..common.impulse import Impulse
 from ..common.material import Material
-from .arrays import AssetArrays, SimulatorRecord
 
 FASTEST = 100.0  # m/s, closing speed up to which bounds hold that know no more of a contact than its impulse
 MOST_CONTACTS = 96  # that impulses acting together are spread over, for the same bounds; a world hands over no more
@@ -61,16 +60,16 @@ class SeverityScale:
 
     @classmethod
     def of(
-        cls, record: SimulatorRecord, arrays: AssetArrays, material: Material, scale: float, mass: float
+        cls, kind: str, gauge: float, compliance: FloatArray, material: Material, scale: float, mass: float
     ) -> SeverityScale:
-        """Work out the scale of an asset.
+        """Work out the scale of a body.
 
         Parameters
         ----------
-        record : SimulatorRecord
-            What it was baked from.
-        arrays : AssetArrays
-            Its arrays.
+        kind, gauge
+            As ``severity_kind`` and ``gauge`` of a ``SimulatorRecord``.
+        compliance : ndarray of float64, shape (V,)
+            Of its vertices, in 1 / (E L); 0 where its simulator does not know it: the body then does not bend.
         material : Material
             Its material.
         scale : float
@@ -83,12 +82,11 @@ class SeverityScale:
         SeverityScale
             The scale.
         """
-        shape = arrays.compliance if arrays.compliance is not None else np.zeros(len(arrays.impact_field))
-        law = ContactLaw.of(scale, material.youngs_modulus, material.poisson_ratio)
-        law = replace(law, compliance=shape / (material.youngs_modulus * scale))
-        if record.severity_kind == "force":
+        elastic = material.youngs_modulus, material.poisson_ratio
+        law = ContactLaw.of(scale, *elastic, compliance=compliance / (material.youngs_modulus * scale))
+        if kind == "force":
             return cls(True, material.tensile_strength * scale**2, law)
-        return cls(False, mass * (record.gauge * material.critical_velocity), law)
+        return cls(False, mass * (gauge * material.critical_velocity), law)
 
     def compliance_at(self, corners: IntArray, barycentric: FloatArray) -> FloatArray:
         """Interpolate the compliance of the surface.

@@ -182,6 +182,44 @@ def _triangles_below(points: FloatArray, triangles: FloatArray) -> tuple[IntArra
     return face[below], point[below], height[below], area[below] > 0
 
 
+def mass_of_moments(
+    zeroth: float, first: FloatArray, second: FloatArray, density: float, scale: float, offset: FloatArray
+) -> tuple[float, float, FloatArray, FloatArray]:
+    """Turn the moments of a body into its mass properties.
+
+    Parameters
+    ----------
+    zeroth : float
+        ∫ 1, in units of the largest extent.
+    first : ndarray of float64, shape (3,)
+        ∫ x.
+    second : ndarray of float64, shape (3, 3)
+        ∫ x xᵀ.
+    density : float
+        kg/m³.
+    scale : float
+        m, the largest extent.
+    offset : ndarray of float64, shape (3,)
+        m, where the origin of these units lies.
+
+    Returns
+    -------
+    volume : float
+        m³.
+    mass : float
+        kg.
+    center : ndarray of float64, shape (3,)
+        m, the centre of mass.
+    inertia : ndarray of float64, shape (3, 3)
+        kg·m² about the centre of mass.
+    """
+    center = first / zeroth
+    spread = second - zeroth * np.outer(center, center)
+    volume = float(zeroth) * scale**3
+    inertia = (np.trace(spread) * np.eye(3) - spread) * (density * scale**5)
+    return volume, volume * density, center * scale + offset, inertia
+
+
 def separate_pinched_edges(
     points: FloatArray, faces: IntArray, skin: BoolArray
 ) -> tuple[FloatArray, IntArray, BoolArray]:

@@ -56,7 +56,9 @@ def closest_on_triangles(points: FloatArray, triangles: FloatArray) -> tuple[Flo
     return np.concatenate([1 - st.sum(-1, keepdims=True), st], axis=-1), (gap**2).sum(-1)
 
 
-def closest_on_surface(points: FloatArray, vertices: FloatArray, faces: IntArray) -> tuple[IntArray, FloatArray]:
+def closest_on_surface(
+    points: FloatArray, vertices: FloatArray, faces: IntArray, tree: cKDTree | None = None
+) -> tuple[IntArray, FloatArray]:
     """Find the nearest points of a surface.
 
     Parameters
@@ -67,6 +69,8 @@ def closest_on_surface(points: FloatArray, vertices: FloatArray, faces: IntArray
         Of the surface.
     faces : ndarray of int64, shape (F, 3)
         Of the surface; triangles of ordinary shape, as ``solids.surface.refine`` leaves them.
+    tree : scipy.spatial.cKDTree, optional
+        Of the faces' middles, where somebody has it.
 
     Returns
     -------
@@ -84,7 +88,9 @@ def closest_on_surface(points: FloatArray, vertices: FloatArray, faces: IntArray
     ([1], [[0.0, 1.0, 0.0]])
     """
     count = min(NEAREST_FACES, len(faces))
-    _, nearest = cKDTree(vertices[faces].mean(axis=1)).query(points, k=np.arange(1, count + 1))
+    if tree is None:
+        tree = cKDTree(vertices[faces].mean(axis=1))
+    _, nearest = tree.query(points, k=np.arange(1, count + 1))
     barycentric, square = closest_on_triangles(points[:, None], vertices[faces[nearest]])
     best = np.argmin(square, axis=1)
     row = np.arange(len(points))

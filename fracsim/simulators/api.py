@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from ..common.arrays import FloatArray, IntArray
-from ..common.contact import ContactLaw
 from ..common.errors import BakeError
 from ..common.impulse import Impulse, as_impulses
 from ..common.material import Material, as_material
 from ..common.progress import Stages
 from ..fracture.severity import MassProperties, SeverityScale
+from ..geometry.complex import mass_of_moments
 from ..geometry.locate import closest_on_surface
 from ..geometry.sampling import CONE, SurfacePoints, cone, ratios
 from ..solids.surface import Surface, read_surface, refine
@@ -192,22 +192,17 @@ class Simulator:
     def _body(self) -> MassProperties:
         """How it resists impulses."""
         zeroth, first, second = (moment.sum(axis=0) for moment in self.simulator.cells.moments())
-        density, scale, center = self.material.density, self.size, first / zeroth
-        spread = second - zeroth * np.outer(center, center)
-        inertia = (np.trace(spread) * np.eye(3) - spread) * (density * scale**5)
-        return MassProperties(float(zeroth) * density * scale**3, center * scale + self.surface.offset, inertia)
+        placed = self.material.density, self.size, self.surface.offset
+        properties = mass_of_moments(float(zeroth), first, second, *placed)
+        return MassProperties(*properties[1:])
 
     @cached_property
     def _severity(self) -> SeverityScale:
         """What turns impulses into severities."""
-        material, size = self.material, self.size
-        compliance: FloatArray = np.zeros(len(self.surface.vertices))
+        shape: FloatArray = np.zeros(len(self.surface.vertices))
         if isinstance(self.simulator, ContactCompliance):
-            compliance = self.simulator.compliance / (material.youngs_modulus * size)
-        law = ContactLaw.of(size, material.youngs_modulus, material.poisson_ratio, compliance=compliance)
-        if severity_kind_of(self.simulator) == "force":
-            return SeverityScale(True, material.tensile_strength * size**2, law)
-        return SeverityScale(False, self.mass * GAUGE * material.critical_velocity, law)
+            shape = self.simulator.compliance
+        return SeverityScale.of(severity_kind_of(self.simulator), GAUGE, shape, self.material, self.size, self.mass)
 
     @cached_property
     def _points(self) -> SurfacePoints:

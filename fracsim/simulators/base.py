@@ -57,6 +57,22 @@ class Impacts:
     def __len__(self) -> int:
         return len(self.faces)
 
+    def points(self, surface: Surface) -> FloatArray:
+        """Say where the contacts are.
+
+        Parameters
+        ----------
+        surface : Surface
+            What the impacts are on.
+
+        Returns
+        -------
+        ndarray of float64, shape (N, K, 3)
+            In the unit of the surface's vertices.
+        """
+        corner = surface.vertices[surface.faces[self.faces]]
+        return np.asarray(np.einsum("nkc,nkci->nki", self.barycentric, corner))
+
     def times(self, factor: FloatArray) -> Impacts:
         """Scale the severities.
 

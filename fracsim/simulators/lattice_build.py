@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..common.arrays import FloatArray
 from ..common.contact import ContactLaw
 from ..solids.solid import Solid
 from ..solids.surface import Surface
@@ -16,6 +17,25 @@ from .lattice_options import LatticeOptions
 
 STILL = 0.02  # speed number of contacts so long that the body's own duration can be worked out with it
 FALLS = 20  # over which that duration's median is taken
+
+
+def vertex_compliances(surface: Surface, lattice: Lattice) -> FloatArray:
+    """Compute how far each vertex of a body gives way to a unit force along its normal (``ContactCompliance``).
+
+    Parameters
+    ----------
+    surface : Surface
+        The body's, with V vertices.
+    lattice : Lattice
+        Of the body.
+
+    Returns
+    -------
+    ndarray of float64, shape (V,)
+        In 1 / (E L), without the motion of the body as a whole.
+    """
+    cells = lattice.cells.vertex_cells(len(surface.vertices))
+    return lattice.compliances(cells, surface.vertices, -surface.trimesh.vertex_normals)
 
 
 def lattice_of(surface: Surface, cells: Solid, options: LatticeOptions) -> Lattice:

@@ -64,7 +64,7 @@ def principal(
 
     Notes
     -----
-    Smith 1961, *Eigenvalues of a symmetric 3 × 3 matrix*: a hundred times faster than LAPACK, one by one.
+    Smith 1961, *Eigenvalues of a symmetric 3 × 3 matrix*.
     """
     third = (xx + yy + zz) / 3.0
     a, b, c = xx - third, yy - third, zz - third

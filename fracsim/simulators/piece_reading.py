@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..common.arrays import FloatArray, IntArray
-from ..fracture.rule import Interfaces
+from ..fracture.rule import Interfaces, components
 from ..solids.solid import sum_by_index
 from .lattice_faces import CellFaces
 from .merging import merge_bound
@@ -76,13 +74,10 @@ class PieceReading:
         """
         between, interface, share = self._interface_of_face
         result = sum_by_index(interface, share * left[between], len(self.interfaces))
-        holds = self.faces.pairs[left > GONE]
-        count = len(self.atom_of_cell)
-        graph = coo_matrix((np.ones(len(holds)), tuple(holds.T)), shape=(count, count))
-        parts, part = connected_components(graph, directed=False)
-        if parts > 1:
+        part = components((left > GONE)[None], self.faces.pairs, len(self.atom_of_cell))[0]
+        if part.any():
             # A crack may run through an atom, which then goes with the part that has most of it.
-            shares = np.zeros((len(self.atom_volumes), parts))
+            shares = np.zeros((len(self.atom_volumes), part.max() + 1))
             np.add.at(shares, (self.atom_of_cell, part), self.cell_volumes)
             gone_with = np.argmax(shares, axis=1)[self.interfaces.pairs]
             result[gone_with[:, 0] != gone_with[:, 1]] = 0.0

@@ -18,14 +18,13 @@ import numpy.typing as npt
 
 from ..common.arrays import BoolArray, FloatArray
 from ..common.errors import BakeError
-from ..common.material import Material
 from ..fracture.rule import Interfaces, components
 from ..solids.solid import Solid
 from ..solids.surface import Surface
 from ..solids.voronoi import voronoi_solid
 from .base import Impacts, Progress, Response, State, interfaces_between, merge_small_pieces_each, no_progress
 from .lattice import Lattice
-from .lattice_build import lattice_of
+from .lattice_build import lattice_of, vertex_compliances
 from .lattice_faces import cell_faces
 from .lattice_options import LatticeOptions, material_options
 from .sequential_cracks import Cracks, IntactBody
@@ -65,23 +64,7 @@ class SequentialSimulator:
     lattice: Lattice
     setting: Setting
 
-    @classmethod
-    def material_options(cls, material: Material, size: float) -> dict[str, float]:
-        """Work out the options of a body.
-
-        Parameters
-        ----------
-        material : Material
-            What it is made of.
-        size : float
-            m, its largest extent.
-
-        Returns
-        -------
-        dict of str to float
-            As ``lattice_options.material_options``.
-        """
-        return material_options(material, size)
+    material_options = staticmethod(material_options)
 
     @classmethod
     def build(
@@ -131,10 +114,8 @@ class SequentialSimulator:
 
     @cached_property
     def compliance(self) -> FloatArray:
-        """(V,), in 1 / (E L): how far vertices give way to unit forces along their normals (``ContactCompliance``)."""
-        vertices = self.surface.vertices
-        cells = self.cells.vertex_cells(len(vertices))
-        return self.lattice.compliances(cells, vertices, -self.surface.trimesh.vertex_normals)
+        """(V,), of the vertices (``ContactCompliance``)."""
+        return vertex_compliances(self.surface, self.lattice)
 
     def first_crack(self, impacts: Impacts) -> FloatArray:
         """Find how severe each impact must be to open a first crack.
@@ -150,9 +131,7 @@ class SequentialSimulator:
             The least factor on each impact's severities at which a face breaks.
         """
         result = np.empty(len(impacts))
-        corner = self.surface.vertices[self.surface.faces[impacts.faces]]
-        points = np.einsum("nkc,nkci->nki", impacts.barycentric, corner)
-        for row, forces in enumerate(self.lattice.forces(impacts, points)):
+        for row, forces in enumerate(self.lattice.forces(impacts, impacts.points(self.surface))):
             cracks = Cracks(self.body, self.setting.brittleness, forces)
             result[row] = cracks.bearable(cracks.jumps())[0].min()
         return result

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..fracture.rule import components
 from .lattice import Lattice, Stiffness
 
 WHOLE, PRESSED, OPEN = 0, 1, 2  # what has become of a face; a pressed one is broken and still carries pressure
@@ -105,7 +105,7 @@ class Cracks:
     @property
     def labels(self) -> IntArray:
         """(N,): the piece of each cell."""
-        return parts(self.whole, self.lattice)
+        return components(self.whole[None], self.lattice.faces.pairs, len(self.lattice))[0]
 
     def push(self, forces: FloatArray) -> None:
         """Let other forces act.
@@ -346,26 +346,6 @@ def crack_ramp(
             break
     found = np.array(faces, dtype=np.int64), np.array(factors), np.array(at_front, dtype=bool)
     return CrackPath(*found, separation, cracks.labels)
-
-
-def parts(whole: BoolArray, lattice: Lattice) -> IntArray:
-    """Find the parts of a body that whole faces hold together.
-
-    Parameters
-    ----------
-    whole : ndarray of bool, shape (I,)
-        Of the faces.
-    lattice : Lattice
-        Of N cells.
-
-    Returns
-    -------
-    ndarray of int64, shape (N,)
-        The part of each cell.
-    """
-    first, second = lattice.faces.pairs[whole].T
-    graph = sp.coo_matrix((np.ones(len(first)), (first, second)), shape=(len(lattice), len(lattice)))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def count_parts(labels: IntArray, volumes: FloatArray, smallest: float) -> int:

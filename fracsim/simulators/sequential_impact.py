@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
-from ..common.contact import ContactLaw
+from ..common.contact import ContactLaw, shared_stiffness
 from .lattice import Lattice
 from .sequential_cracks import Cracks, IntactBody
 
@@ -219,8 +219,7 @@ class Impact:
             arm = given.points[contact] - share @ lattice.centroids / weight[k]
             forces[:, :3] += share[:, None] * given.directions[contact]
             forces[:, 3:] += share[:, None] * np.cross(arm, given.directions[contact])
-        # Contacts that share the force give way less: each takes 2/5 F^(5/3) k^(-2/3) of its own part of it.
-        hertz = self.setting.hertz * float((weight ** (5.0 / 3.0)).sum()) ** -1.5
+        hertz = shared_stiffness(self.setting.hertz, weight)
         mass = _moved_mass(lattice, forces.ravel(), cells)
         return _Blow(contacts, shares, cells, forces.ravel(), hertz, mass, spent, reached)
 

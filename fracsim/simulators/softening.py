@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..common.arrays import FloatArray, IntArray
-from ..common.contact import ContactLaw
+from ..common.contact import ContactLaw, shared_stiffness
 from .lattice import Lattice, Stiffness
 
 STEPS = 8  # solutions of the body; the last ones change little
@@ -26,7 +26,7 @@ GONE = 0.01  # of a face's stiffness: one that has no more holds nothing
 LEAST_LEFT = 1e-4  # of a face's stiffness, so that loose cells keep a place
 LEAST_TOUGHNESS = 0.05  # of its strength, that a face in front of a crack has left, at least
 # Energy that a face of area A releases when it opens under a stress σ: RELEASE σ² A^(3/2) / E. For a round crack in a
-# large body Sneddon 1946 gives 0.48; the lattices of five bodies give medians from 0.4 to 0.9.
+# large body Sneddon 1946 gives 0.48.
 RELEASE = 0.5
 
 
@@ -117,8 +117,7 @@ class Softening:
         if total == 0.0:
             return (start or lattice.whole).left
         unit = forces / total
-        # Contacts that share the force give way less: each takes 2/5 F^(5/3) k^(-2/3) of its own part of it.
-        hertz = self.hertz * float(((severities / total) ** (5.0 / 3.0)).sum()) ** -1.5
+        hertz = shared_stiffness(self.hertz, severities / total)
         stiffness, begin, neighbours = start or lattice.whole, *self._neighbours
         approach = motion = 0.0
         for step in range(self.steps):

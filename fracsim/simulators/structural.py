@@ -14,29 +14,25 @@ from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..common.arrays import FloatArray, IntArray
 from ..common.errors import BakeError
-from ..common.material import Material
-from ..fracture.rule import Interfaces, separated
-from ..geometry.sampling import SurfacePoints
+from ..fracture.rule import Interfaces, components, separated
 from ..solids.polygons import coarsen
-from ..solids.solid import Solid, merge_small_regions, relabel, solid_from_arrays, solid_to_arrays, sum_by_index
+from ..solids.solid import Solid, merge_small_regions, relabel, solid_from_arrays, solid_to_arrays
 from ..solids.surface import Surface
-from ..solids.voronoi import voronoi_solid
+from ..solids.voronoi import centroidal_seeds, voronoi_solid
 from .base import Impacts, Progress, Response, State, interfaces_between, no_progress
 from .lattice import Lattice
-from .lattice_build import lattice_of
+from .lattice_build import lattice_of, vertex_compliances
 from .lattice_faces import cell_faces
 from .lattice_options import LatticeOptions, material_options
 from .piece_reading import PieceReading
 from .softening import Softening
 
 FINE = "fine_cells/"  # what the cells' arrays are called in a state
-LLOYD_STEPS = 60
+LLOYD_STEPS = 59
 BISECTIONS = 6  # of the interval between 1 and 1.5 times some factor, for a threshold
 GROWTH = 1.5  # of the factor, while the body holds
 LARGEST_FACTOR = 200.0  # times the one at which a first crack opens; what still holds then does not break
@@ -102,23 +98,7 @@ class StructuralSimulator:
     softening: Softening
     min_piece_volume_fraction: float
 
-    @classmethod
-    def material_options(cls, material: Material, size: float) -> dict[str, float]:
-        """Work out the options of a body.
-
-        Parameters
-        ----------
-        material : Material
-            What it is made of.
-        size : float
-            m, its largest extent.
-
-        Returns
-        -------
-        dict of str to float
-            As ``lattice_options.material_options``.
-        """
-        return material_options(material, size)
+    material_options = staticmethod(material_options)
 
     @classmethod
     def build(
@@ -170,17 +150,9 @@ class StructuralSimulator:
         return self.softening.lattice
 
     @cached_property
-    def points(self) -> SurfacePoints:
-        """Points anywhere on the surface."""
-        return SurfacePoints(self.surface.vertices, self.surface.faces)
-
-    @cached_property
     def compliance(self) -> FloatArray:
-        """(V,), in 1 / (E L): how far each vertex gives way to a unit force along its normal, at rest."""
-        lattice, vertices = self.lattice, self.surface.vertices
-        cells = self.fine_cells.vertex_cells(len(vertices))
-        normals = self.surface.trimesh.vertex_normals
-        return lattice.compliances(cells, vertices, -normals)
+        """(V,), of the vertices (``ContactCompliance``)."""
+        return vertex_compliances(self.surface, self.lattice)
 
     @cached_property
     def reading(self) -> PieceReading:
@@ -224,9 +196,8 @@ class StructuralSimulator:
 
         See Also
         --------
-        first_crack : what no smaller factor can be, for a hundredth of the time.
+        first_crack : what no smaller factor can be, for one solution of the body.
         """
-        first = self.first_crack(impacts)
         result = np.full(len(impacts), np.inf)
         for row, (forces, severities) in enumerate(zip(self._forces(impacts), impacts.severities, strict=True)):
 
@@ -234,8 +205,8 @@ class StructuralSimulator:
                 left = self.softening.run(factor * forces, factor * severities)
                 return bool(self.reading.pieces(self.reading.left_of_interfaces(left)).any())
 
-            low = high = float(first[row])
-            while not (broken := breaks(high)) and high < LARGEST_FACTOR * first[row]:
+            low = high = first = self._first_crack(forces)
+            while not (broken := breaks(high)) and high < LARGEST_FACTOR * first:
                 low, high = high, GROWTH * high
             if broken:
                 for _ in range(BISECTIONS if low < high else 0):
@@ -257,12 +228,13 @@ class StructuralSimulator:
         ndarray of float64, shape (N,)
             The least factor on each impact's severities at which some face is pulled to what it can bear.
         """
+        return np.array([self._first_crack(forces) for forces in self._forces(impacts)])
+
+    def _first_crack(self, forces: FloatArray) -> float:
+        """Find the factor on forces (6 N,) at which a first face opens."""
         lattice = self.lattice
-        result = np.empty(len(impacts))
-        for row, forces in enumerate(self._forces(impacts)):
-            tension, _, _ = lattice.tension(lattice.jumps(lattice.intact.solve(forces)), lattice.whole)
-            result[row] = 1.0 / max(float((tension / self.softening.onset_strength).max()), 1e-300)
-        return result
+        tension, _, _ = lattice.tension(lattice.jumps(lattice.intact.solve(forces)), lattice.whole)
+        return 1.0 / max(float((tension / self.softening.onset_strength).max()), 1e-300)
 
     def fracture(self, impacts: Impacts) -> Response:
         """Break the body by each impact.
@@ -284,8 +256,7 @@ class StructuralSimulator:
 
     def _forces(self, impacts: Impacts) -> FloatArray:
         """Spread the contacts' forces (N, 6 cells)."""
-        corner = self.surface.vertices[self.surface.faces[impacts.faces]]
-        return self.lattice.forces(impacts, np.einsum("nkc,nkci->nki", impacts.barycentric, corner))
+        return self.lattice.forces(impacts, impacts.points(self.surface))
 
     def state(self) -> State:
         """Collect what a dataset keeps of the simulator beside its surface, cells and interfaces.
@@ -379,13 +350,7 @@ def group_cells(
     """
     centroids, weight = solid.centroids, np.sqrt(solid.volumes)
     count = min(count, len(centroids))
-    middle = centroids[rng.choice(len(centroids), count, replace=False, p=weight / weight.sum())]
-    for _ in range(LLOYD_STEPS):
-        _, nearest = cKDTree(middle).query(centroids)
-        total = sum_by_index(nearest, weight, count)
-        moment = sum_by_index(nearest, weight[:, None] * centroids, count)
-        middle = np.where(total[:, None] > 0, moment / np.maximum(total, 1e-300)[:, None], middle)
-    same = nearest[pairs[:, 0]] == nearest[pairs[:, 1]]
-    graph = coo_matrix((np.ones(int(same.sum())), tuple(pairs[same].T)), shape=(len(centroids),) * 2)
-    _, region = connected_components(graph, directed=False)
-    return merge_small_regions(solid.volumes, pairs, areas, floor, region.astype(np.int64))
+    begin = centroids[rng.choice(len(centroids), count, replace=False, p=weight / weight.sum())]
+    _, nearest = cKDTree(centroidal_seeds(begin, centroids, weight, LLOYD_STEPS)).query(centroids)
+    region = components((nearest[pairs[:, 0]] == nearest[pairs[:, 1]])[None], pairs, len(centroids))[0]
+    return merge_small_regions(solid.volumes, pairs, areas, floor, region)

@@ -143,7 +143,7 @@ def place_seeds(surface: Surface, count: int, rng: np.random.Generator) -> tuple
     return centroidal_seeds(begin, inside, volumes / spacing**5), inside
 
 
-def centroidal_seeds(seeds: FloatArray, inside: FloatArray, weights: FloatArray) -> FloatArray:
+def centroidal_seeds(seeds: FloatArray, inside: FloatArray, weights: FloatArray, steps: int = STEPS) -> FloatArray:
     """Move seeds to the weighted centroids of their own Voronoi cells.
 
     Parameters
@@ -154,11 +154,13 @@ def centroidal_seeds(seeds: FloatArray, inside: FloatArray, weights: FloatArray)
         Samples of the body.
     weights : ndarray of float64, shape (N,)
         Of the samples: the volumes that they stand for, times any density.
+    steps : int
+        Of the iteration.
 
     Returns
     -------
     ndarray of float64, shape (S, 3)
-        Where they are after STEPS steps of Lloyd's iteration (Lloyd 1982, *Least squares quantization in PCM*).
+        Where they are after these steps of Lloyd's iteration (Lloyd 1982, *Least squares quantization in PCM*).
 
     Notes
     -----
@@ -166,7 +168,7 @@ def centroidal_seeds(seeds: FloatArray, inside: FloatArray, weights: FloatArray)
     density^(-1/4) (Du, Faber, Gunzburger 1999, *Centroidal Voronoi tessellations*, section 6.4).
     """
     seeds = seeds.copy()
-    for _ in range(STEPS):
+    for _ in range(steps):
         _, nearest = cKDTree(seeds).query(inside)
         total = sum_by_index(nearest, weights, len(seeds))
         moment = sum_by_index(nearest, weights[:, None] * inside, len(seeds))
