@@ -31,7 +31,7 @@ except ImportError as error:
     raise MissingExtraError(str(error.name), "bake") from error
 
 SHIFTS = (0.01, 0.03)  # of the largest extent that an impact is moved by; it is turned by as many radians
-IMPACTS = 40  # that are moved; the mean ARI of so many is known to about 0.03
+IMPACTS = 40  # that are moved
 GROUP = 10  # impacts that are drawn together
 POINTS = 4000  # inside the body, at which two tilings of it are compared
 

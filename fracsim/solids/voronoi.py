@@ -20,7 +20,7 @@ from .surface import Surface
 
 TRIES = 8  # sets of seeds tried before a surface is called impossible
 SAMPLES = 40  # points inside the body for each cell: they place its seed
-STEPS = 40  # of Lloyd's iteration; the seeds then move by 1 % of a cell a step
+STEPS = 40  # of Lloyd's iteration
 GRADING = 0.5  # the power of the walls' thickness that the cells' size follows
 THICK = 1.25  # of a cell's size in a thick body: thinner walls get smaller cells; what is measured at any flat side
 THINNEST = 0.1  # of the thickness from which cells grow no more: thinner walls get no smaller cells
